@@ -109,10 +109,13 @@ def write_run(
     written = scene.write(out, formats, name)
     names = [str(path.relative_to(out)) for path in written]
     log.info("%s: %s", out, ", ".join(names))
-    log.info("%s, in %.0f s", scene.summary, time.monotonic() - start_s)
+    facts = files.read_json(written[-1], dict[str, Any])
+    counts, wedges = facts["buildings"], facts["wedges"]
+    more = "" if wedges is None else f", {wedges} wedges"
+    size = f"{counts['triangles']} triangles{more}"
+    log.info("%s; %s, in %.0f s", scene.summary, size, time.monotonic() - start_s)
     if old := sorted(path for path in earlier - _delivered(written[-1]) if (out / path).exists()):
         log.warning("warning: %s: of an earlier run, not of this one; delete them: %s", out, ", ".join(old))
-    counts = files.read_json(written[-1], dict[str, Any])["buildings"]
     if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
         log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
     if to_check := counts["to_check"]:

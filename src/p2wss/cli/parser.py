@@ -117,10 +117,10 @@ def setting(key: str, *names: str, more: bool = True, **options: Any) -> Decorat
         options["type"] = click.Choice(get_args(kind))
     elif get_origin(kind) is list:
         options["type"], default = Names(), ",".join(default)
-    elif issubclass(kind, Section):
+    elif isinstance(kind, type) and issubclass(kind, Section):
         options["type"], default = Pairs(), "..."
     else:
-        options["type"] = kind
+        options.setdefault("type", kind)
     help = f"{options.pop('help', field.description)} [{key}{f': {default}' if default != '' else ''}]"
     return option(*(names or [name]), key=key, more=more, default=None, help=help, **options)
 

@@ -79,6 +79,7 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 @device_option
 @setting("reconstruct.fit")
 @setting("reconstruct.roofs")
+@setting("reconstruct.max_triangles", type=int, default="", metavar="N")
 @setting("reconstruct.footprint_schema")
 @setting("reconstruct.id_field", metavar="COLUMN")
 @setting("reconstruct.height_field", metavar="COLUMN")

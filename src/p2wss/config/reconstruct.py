@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -123,6 +123,7 @@ class Outlines(Section):
 class Reconstruct(Section):
     """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
+    neutral: ClassVar = {"max_triangles": None}
     footprint_schema: SchemaName = Field(
         "auto",
         description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
@@ -202,6 +203,13 @@ class Reconstruct(Section):
         "normal",
         description="level of detail, set by the prices of faces and edges: low = fewer triangles, "
         "high = nearer to the points, and chimneys",
+    )
+    max_triangles: int | None = Field(
+        None,
+        ge=1,
+        description="buildings get the level of detail low, those first that lose the least accuracy per "
+        "triangle saved, until all together have at most so many triangles, before skin, without terrain and plants; "
+        "null = no limit",
     )
     max_wall_shift_m: float = Field(
         1,

@@ -84,6 +84,11 @@ class Reconstruction:
         return self.mesh is not None
 
     @property
+    def num_triangles(self) -> int:
+        """Of the mesh; 0 without one."""
+        return 0 if self.mesh is None else len(self.mesh.triangle)
+
+    @property
     def position_m(self) -> np.ndarray:
         """(3,), the place of the mesh's origin in the CRS of the cloud."""
         return np.array([*self.origin_xy_m, self.ground_z_m])

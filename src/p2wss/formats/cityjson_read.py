@@ -22,6 +22,8 @@ _KIND = {
     "RoofSurface": FaceKind.ROOF,
     "OuterFloorSurface": FaceKind.FLOOR,
 }
+# city objects that are read: buildings and plants
+_TYPES = ("Building", "SolitaryVegetationObject", "PlantCover")
 # buildings with roof planes, as files name their level of detail, the best first
 _LODS = ("2.2", "2.0", "2", "2.1")
 _READABLE = ("Solid", "MultiSurface", "CompositeSurface")
@@ -29,22 +31,23 @@ _READABLE = ("Solid", "MultiSurface", "CompositeSurface")
 
 @dataclass(frozen=True)
 class ReadSolid:
-    """A building from a file. mesh: its triangles in the CRS, labelled by the polygons that they are part of; without
-    any if the building has no geometry of the level of detail."""
+    """A building from a file or, if not ``is_building``, a plant. mesh: its triangles in the CRS, labelled by the
+    polygons that they are part of; without any if the building has no geometry of the level of detail."""
 
     building_id: str
     mesh: Mesh
     attributes: dict[str, Any]
+    is_building: bool = True
 
 
 def read(path: str | Path) -> list[ReadSolid]:
     """The buildings of :func:`read_city`."""
-    return read_city(path)[0]
+    return [solid for solid in read_city(path)[0] if solid.is_building]
 
 
 def read_city(path: str | Path) -> tuple[list[ReadSolid], str | None]:
-    """(every Building of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2, parts joined;
-    the URL of the CRS that the file states, if any).
+    """(every building and plant of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2,
+    parts joined; the URL of the CRS that the file states, if any).
 
     Raises :class:`InputError` if the file is missing or not CityJSON.
     """
@@ -131,7 +134,7 @@ def _vertices(document: dict[str, Any], scale: np.ndarray, translate: np.ndarray
 def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]:
     solids = []
     for name, building in objects.items():
-        if building["type"] != "Building":
+        if building["type"] not in _TYPES:
             continue
         members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
         triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
@@ -150,7 +153,8 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
             np.concatenate(kinds),
             surface.astype(np.int32),
         )
-        solids.append(ReadSolid(name, mesh, building.get("attributes", {})))
+        is_building = building["type"] == "Building"
+        solids.append(ReadSolid(name, mesh, building.get("attributes", {}), is_building))
     return solids
 
 

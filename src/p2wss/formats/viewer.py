@@ -28,6 +28,7 @@ FACE_COLORS = {
 }
 # what the attributes of a building say of it, as the legend has it
 OK, FLAGGED, FLAT, NONE = "ok", "flagged", "flat", "none"
+PLANT_COLOR = "#5f9350"
 # of the files that are compared with the first
 OTHER_COLORS = ("#2a6f97", "#3f7d4e", "#b8a13c", "#6c757d")
 # attribute: title of its column in the table, the first of them is sorted by
@@ -78,8 +79,12 @@ class Viewer:
     together: bool
 
 
-def viewer(buildings: Sequence[Shown], layers: Sequence[Layer], together: bool) -> Viewer:
-    """The view of these buildings, of which there is at least one: one at a time, or all ``together``."""
+def viewer(
+    buildings: Sequence[Shown], layers: Sequence[Layer], together: bool, plants: Sequence[Mesh] = ()
+) -> Viewer:
+    """The view of these buildings, of which there is at least one: one at a time, or all ``together``. plants: in the
+    frame of the buildings, which can be hidden."""
+    crowns = {"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(Mesh.joined(plants))}
     data = {
         "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
         "methods": [
@@ -87,6 +92,7 @@ def viewer(buildings: Sequence[Shown], layers: Sequence[Layer], together: bool) 
             for layer in layers
         ],
         "together": together,
+        "plants": crowns if plants else None,
         "buildings": [_building(building) for building in buildings],
     }
     assets = files("p2wss.formats") / "assets"
@@ -102,10 +108,12 @@ def scene_page(
     buildings: Sequence[Shown],
     layers: Sequence[Layer],
     shifts: Mapping[str, Any] | None = None,
+    plants: Sequence[Mesh] = (),
 ) -> str:
     """A page with all buildings in one picture and in a table.
 
-    summary: sentences above. shifts: of :func:`p2wss.formats.shift_map.content`, for a second tab.
+    summary: sentences above. shifts: of :func:`p2wss.formats.shift_map.content`, for a second tab. plants: those of
+    :func:`viewer`.
     """
     buildings = sorted(buildings, key=lambda building: -(_number(building.attributes, "residual_m") or 0.0))
     present = {
@@ -117,7 +125,7 @@ def scene_page(
         .render(
             title=title,
             summary=summary,
-            viewer=viewer(buildings, layers, together=True) if buildings else None,
+            viewer=viewer(buildings, layers, together=True, plants=plants) if buildings else None,
             columns={name: text for name, text in COLUMNS.items() if name in present or name == "state"},
             shifts=shifts,
         )
@@ -148,15 +156,16 @@ def _building(building: Shown) -> dict[str, Any]:
         "place": place_m.tolist(),
         "points": _base64(np.round((point_m - place_m) * 100).astype(np.int16)),
         "distances": _base64(np.round(np.clip(distance_m, 0, 1) * 255).astype(np.uint8)),
-        "meshes": {
-            key: {
-                "vertices": _base64(np.round(mesh.vertex_m * 1000).astype(np.int32)),
-                "triangles": _base64(mesh.triangle.astype(np.uint32)),
-                "kinds": _base64(mesh.kind.astype(np.uint8)),
-                "facts": f"{len(mesh.triangle)} triangles",
-            }
-            for key, mesh in building.meshes.items()
-        },
+        "meshes": {key: _mesh(mesh) for key, mesh in building.meshes.items()},
+    }
+
+
+def _mesh(mesh: Mesh) -> dict[str, str]:
+    return {
+        "vertices": _base64(np.round(mesh.vertex_m * 1000).astype(np.int32)),
+        "triangles": _base64(mesh.triangle.astype(np.uint32)),
+        "kinds": _base64(mesh.kind.astype(np.uint8)),
+        "facts": f"{len(mesh.triangle)} triangles",
     }
 
 

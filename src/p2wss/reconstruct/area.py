@@ -163,7 +163,7 @@ def run_area(
         report = partial(_report, progress, num_done)
         rows.reconstruct(position[batch], frame, cloud, report, registrations)
         num_done += len(batch)
-    rows.finish()
+    rows.finish(int(area.is_chosen.sum()))
 
 
 def _report(progress: Callable[[int], object], num_before: int, num_done: int) -> None:

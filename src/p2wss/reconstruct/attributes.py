@@ -92,7 +92,7 @@ def _attributes(result: Result) -> dict[str, Any]:
         "visible_share": _rounded(result.visible_share),
         "num_points": result.num_points,
         "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,
-        "num_triangles": 0 if reconstruction.mesh is None else len(reconstruction.mesh.triangle),
+        "num_triangles": reconstruction.num_triangles,
         **_mesh_attributes(result),
         "overhang_m": _rounded(result.overhang_m),
         **_registration_attributes(result.registration),

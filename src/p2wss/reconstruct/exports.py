@@ -79,13 +79,14 @@ def write(
     for output in outputs:
         path = folder / f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "report":
-            files.write_text(path, page_of_run(results, stem, crs))
+            files.write_text(path, page_of_run(results, stem, crs, [plant.mesh for plant in plants]))
         elif output not in MESH_WRITERS:
             _write_results(path, output, results, plants, before, crs, facts, config)
         if output not in MESH_WRITERS:
             delivered.append(path)
-    if config.wedges:
-        files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", block_skins.wedge_columns(skins), WEDGES, facts)
+    columns = block_skins.wedge_columns(skins) if config.wedges else None
+    if columns is not None:
+        files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", columns, WEDGES, facts)
         written.append(f"{stem}{WEDGES_SUFFIX}")
         delivered.append(folder / f"{stem}{WEDGES_SUFFIX}")
     files.write_json(
@@ -99,6 +100,7 @@ def write(
             "sha256": {path.relative_to(folder).as_posix(): files.sha256(path) for path in delivered},
             "buildings": counts(results),
             "skin": block_skins.counts(skins) if config.skin else None,
+            "wedges": columns and len(columns["skin"]),
             "vegetation": dict(Counter(plant.city_type for plant in plants)) if config.vegetation else None,
             "terrain": None
             if ground is None
@@ -237,7 +239,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     """Numbers of buildings by status, reason and method, and the ids of those to be looked at, the worst first: without
     a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict."""
     status, reasons, methods = Counter[str](), Counter[str](), Counter[str]()
-    not_representable = without_points = 0
+    not_representable = without_points = triangles = 0
     to_check: list[tuple[float, str]] = []
     for result in results:
         is_contradicted = result.registration is not None and result.registration.flags
@@ -248,6 +250,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
         not_representable += result.not_representable
         without_points += result.num_points == 0
+        triangles += result.reconstruction.num_triangles
     return {
         "total": len(results),
         "status": dict(status),
@@ -255,6 +258,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         "methods": dict(methods),
         "not_representable": not_representable,
         "without_points": without_points,
+        "triangles": triangles,
         "to_check": [building_id for _, building_id in sorted(to_check)],
     }
 

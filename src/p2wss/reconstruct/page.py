@@ -19,6 +19,7 @@ from p2wss.data.points import stride
 from p2wss.formats import shift_map, viewer
 from p2wss.formats.shift_map import Block, Footprint
 from p2wss.formats.viewer import Layer, Shown
+from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.attributes import attributes
 from p2wss.reconstruct.registration import NOTHING, Registration
@@ -30,12 +31,12 @@ if TYPE_CHECKING:
     from p2wss.reconstruct.scene import Scene, SceneBuilding
 
 # more would make a page slow: the others are in the table of the run
-MAX_BUILDINGS, MAX_POINTS = 2000, 300_000
+MAX_BUILDINGS, MAX_POINTS, MAX_PLANTS = 2000, 300_000, 5000
 _OURS = "p2wss"
 
 
-def page_of_run(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
-    """The HTML of a run. stem: of the names of its files."""
+def page_of_run(results: Sequence[Result], stem: str, crs: pyproj.CRS, plants: Sequence[Mesh] = ()) -> str:
+    """The HTML of a run. stem: of the names of its files. plants: in the CRS."""
     worst = np.argsort([-np.nan_to_num(result.residual_m, nan=-1.0) for result in results], kind="stable")
     chosen = [results[number] for number in np.sort(worst[:MAX_BUILDINGS])]
     origin_m = _origin_m([result.reconstruction.position_m for result in chosen])
@@ -47,7 +48,7 @@ def page_of_run(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
     sentences.append(registration_summary(rows) if rows else off)
     shifts = shift_map.content(horizontal(crs).name, footprints, blocks) if rows else None
     layer = Layer(_OURS, "Meshes", "#c8603a", is_ours=True)
-    return viewer.scene_page(stem, sentences, buildings, [layer], shifts)
+    return viewer.scene_page(stem, sentences, buildings, [layer], shifts, _placed(plants, origin_m))
 
 
 def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None) -> str:
@@ -87,7 +88,13 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
         placed = {name: mesh.translated(-origin_m) for name, mesh in meshes.items()}
         buildings.append(Shown(building_id, placed, point_m - origin_m, distance_m, stated))
     sentences = [f"{name}: {scene.summary}" for name, scene in scenes.items()]
-    return viewer.scene_page(title, [*sentences, *_left_out(len(by_id))], buildings, layers)
+    sentences += _left_out(len(by_id))
+    plants = _placed([plant for scene in scenes.values() for plant in scene.plants], origin_m)
+    return viewer.scene_page(title, sentences, buildings, layers, plants=plants)
+
+
+def _placed(plants: Sequence[Mesh], origin_m: np.ndarray) -> list[Mesh]:
+    return [plant.translated(-origin_m) for plant in plants[:: stride(len(plants), MAX_PLANTS)]]
 
 
 def _points_of(plans: Sequence[shapely.Geometry], cloud: Cloud | None) -> list[np.ndarray]:

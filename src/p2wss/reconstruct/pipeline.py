@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date, timedelta
@@ -31,6 +32,7 @@ from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
 from p2wss.reconstruct.spool import Lazy
 
+log = logging.getLogger("p2wss")
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress: of each process, and with a network, which is faster with many
@@ -59,7 +61,7 @@ def run(
     time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
     that their footprint states; else it is that of the neighbourhood. registrations: of each row, what moved it.
     """
-    results: dict[int, Result] = {}
+    results: dict[int, Any] = {}
     rows = Rows(len(frame), results, predictor, tile, config, terrain)
     rows.reconstruct(np.arange(len(frame)), frame, cloud, progress, registrations)
     rows.finish()
@@ -67,17 +69,18 @@ def run(
 
 
 class Store(Protocol):
-    """Results by number: a dictionary, or a :class:`p2wss.reconstruct.spool.Spool`."""
+    """Values by number: a dictionary, or a :class:`p2wss.reconstruct.spool.Spool`."""
 
-    def __getitem__(self, index: int, /) -> Result: ...
+    def __getitem__(self, index: int, /) -> Any: ...
 
-    def __setitem__(self, index: int, value: Result, /) -> None: ...
+    def __setitem__(self, index: int, value: Any, /) -> None: ...
 
 
 class Rows:
     """The rows of a run, reconstructed part by part, and at the end what depends on several parts.
 
-    num_rows: of the run. results: where they are stored. num_processes: that fit; one with a network, whose threads a
+    num_rows: of the run. results: where they are stored; with ``config.max_triangles`` it has so many places again, for
+    rows that may be reconstructed once more. num_processes: that fit; one with a network, whose threads a
     fork would lack. The other arguments are those of :func:`run`.
     """
 
@@ -153,9 +156,9 @@ class Rows:
             self._store(batch)
             progress(min(first + self._batch, len(frame)))
 
-    def finish(self) -> None:
-        """Reconstruct the buildings whose ground is the median of the nearest ones with points, and measure party
-        walls."""
+    def finish(self, num_counted: int | None = None) -> None:
+        """Reconstruct the buildings whose ground is the median of the nearest ones with points, save triangles, and
+        measure party walls. num_counted: of the rows, those whose triangles are limited; None for all."""
         known = np.flatnonzero(np.isfinite(self._ground_z_m))
         tree = cKDTree(self._origin_xy_m[known]) if len(known) else None
         for k, row in enumerate(self._pending):
@@ -167,31 +170,68 @@ class Rows:
                 self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
         for first in range(0, len(self._pending), self._batch):
             self._store(self._pending[first : first + self._batch])
+        if self._config.max_triangles is not None:
+            self._save_triangles(
+                self._config.max_triangles, self._num_rows if num_counted is None else num_counted
+            )
         meshes = Lazy(self._placed_mesh, range(self._num_rows))
         area_m2 = party_wall_areas_m2(meshes)
         for number in np.flatnonzero(area_m2).tolist():
             self._results[number] = replace(self._results[number], party_wall_area_m2=float(area_m2[number]))
+
+    def _save_triangles(self, max_triangles: int, num_counted: int) -> None:
+        """Replace results by those of low detail, in the order of the volume between points and mesh that is lost per
+        triangle, until there are few enough triangles."""
+        excess = (
+            sum(self._results[k].reconstruction.num_triangles for k in range(num_counted)) - max_triangles
+        )
+        if excess <= 0:
+            return
+        log.info("%d triangles more than reconstruct.max_triangles: once more at low detail", excess)
+        low, savings = self._config.model_copy(update={"detail": "low"}), []
+        for first in range(0, num_counted, self._batch):
+            numbers = range(first, min(first + self._batch, num_counted))
+            rows = [self._results[self._num_rows + number] for number in numbers]
+            for number, simple in zip(numbers, self._results_of(rows, low), strict=True):
+                before: Result = self._results[number]
+                saved = before.reconstruction.num_triangles - simple.reconstruction.num_triangles
+                if saved > 0 and before.measures is not None:
+                    self._results[self._num_rows + number] = simple
+                    growth_m = float(np.nan_to_num(simple.residual_m - before.residual_m))
+                    savings.append((growth_m * before.measures.ground_area_m2 / saved, number, saved))
+        for _, number, saved in sorted(savings):
+            if excess > 0:
+                self._results[number] = self._results[self._num_rows + number]
+                excess -= saved
+        if excess > 0:
+            message = "warning: %d triangles remain, more than reconstruct.max_triangles"
+            log.warning(message, max_triangles + excess)
 
     def _placed_mesh(self, number: int) -> Mesh | None:
         reconstruction = self._results[number].reconstruction
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
     def _store(self, rows: Sequence[Row]) -> None:
-        for row, result in zip(rows, in_processes(self._done, rows, self._num_processes), strict=True):
+        for row, result in zip(rows, self._results_of(rows, self._config), strict=True):
             self._results[row.number] = result
+            if self._config.max_triangles is not None:
+                self._results[self._num_rows + row.number] = row
 
-    def _done(self, rows: Sequence[Row]) -> list[Result]:
+    def _results_of(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
+        return in_processes(lambda share: self._done(share, config), rows, self._num_processes)
+
+    def _done(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
         """The results of these rows, from the points that are their own. One whose footprint has another status than
         "ok" gets no mesh."""
         rows = [replace(row, building=with_own_classes(row.building)) for row in rows]
         usable = [row for row in rows if row.status == "ok"]
-        done = reconstruct_buildings([row.building for row in usable], self._predictor, self._config)
+        done = reconstruct_buildings([row.building for row in usable], self._predictor, config)
         reconstructions = {row.number: each for row, each in zip(usable, done, strict=True)}
-        method = method_name(self._predictor, self._config)
+        method = method_name(self._predictor, config)
         results = []
         for row in rows:
             rejected = no_mesh(row.building, method, row.status)
-            results.append(result_of(row, reconstructions.get(row.number, rejected), self._config))
+            results.append(result_of(row, reconstructions.get(row.number, rejected), config))
         return results
 
 

@@ -116,7 +116,8 @@ class SceneBuilding:
 class Scene(Mapping[str, SceneBuilding], Closeable):
     """The buildings of a run or of a file, by their ids in the order of the footprints.
 
-    crs: of all coordinates; None for a file that states none. table: a row per building.
+    crs: of all coordinates; None for a file that states none. table: a row per building. plants: closed volumes, of
+    ``--vegetation``.
     """
 
     def __init__(
@@ -127,10 +128,11 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         config: Config,
         name: str,
         run: Run | None = None,
+        plants: Sequence[Mesh] = (),
     ) -> None:
         self._number = {each: number for number, each in enumerate(ids)}
         self._building, self._run = building, run
-        self.crs, self.config, self.name = crs, config, name
+        self.crs, self.config, self.name, self.plants = crs, config, name, plants
 
     def __getitem__(self, building_id: str) -> SceneBuilding:
         return self._building(self._number[building_id])
@@ -306,7 +308,7 @@ def reconstruct(
         if settings.vegetation and len(rows):
             boxes = np.concatenate([boxes, [grown(around, vegetation.RULES.margin_m)]])
         points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
-        store = resources.enter_context(Spool[Result](len(area.numbers), folder))
+        store = resources.enter_context(Spool[Any](2 * len(area.numbers), folder))
         if outline_cloud is None:
             if tile is None and not inputs.overlap(window(frame)):
                 raise InputError(_no_overlap(len(frame), inputs))
@@ -353,18 +355,22 @@ def reconstruct(
     def building(number: int) -> SceneBuilding:
         return _of_result(results[number], config)
 
-    return Scene([str(each) for each in rows["building_id"]], building, inputs.crs, config, stem, run)
+    ids = [str(each) for each in rows["building_id"]]
+    return Scene(ids, building, inputs.crs, config, stem, run, [plant.mesh for plant in plants])
 
 
 def read(path: str | Path) -> Scene:
     """See :func:`p2wss.read`."""
     path = Path(path)
-    solids, stated = cityjson_read.read_city(path)
+    objects, stated = cityjson_read.read_city(path)
+    solids = [each for each in objects if each.is_building]
+    plants = [each.mesh for each in objects if not each.is_building]
     with reading(path, "CityJSON"):
         crs = None if stated is None else pyproj.CRS.from_user_input(stated)
     config = Config()
     name = path.name.split(".")[0]
-    return Scene([each.building_id for each in solids], lambda k: _of_file(solids[k]), crs, config, name)
+    ids = [each.building_id for each in solids]
+    return Scene(ids, lambda k: _of_file(solids[k]), crs, config, name, plants=plants)
 
 
 def load_network(weights: Path | None, device: DeviceName = "auto", threads: int = 1) -> Predictor | None:

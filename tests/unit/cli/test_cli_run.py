@@ -11,6 +11,7 @@ import pytest
 
 import p2wss
 from p2wss import cli
+from p2wss.reconstruct import area
 from p2wss.towns import write_demo
 
 
@@ -132,3 +133,46 @@ def test_a_mistyped_command_is_guessed_and_none_shows_the_help(capsys: pytest.Ca
     assert "--detail" in capsys.readouterr().err
     assert cli.main([]) == 0
     assert capsys.readouterr().out.startswith("Usage: p2wss")
+
+
+def test_a_budget_of_triangles_costs_the_least_accuracy(
+    demo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    ids = ",".join(gpd.read_file(demo / "footprints.gpkg")["cleabs"][:12])
+
+    def reconstructed(name: str, *options: str) -> dict[str, tuple[int, float, float]]:
+        """Triangles, residual and area in plan of each building."""
+        assert run(demo, tmp_path, "--ids", ids, "--name", name, *options) == 0
+        names = ("num_triangles", "residual_m", "ground_area_m2")
+        rows = p2wss.read(tmp_path / f"{name}.city.json").items()
+        return {key: tuple(building.attributes[each] for each in names) for key, building in rows}
+
+    high, low = reconstructed("high", "--detail", "high"), reconstructed("low", "--detail", "low")
+    most, least = (sum(row[0] for row in rows.values()) for rows in (high, low))
+    limit = (most + least) // 2
+    # footprints beside the chosen ones are reconstructed, too, and not counted
+    enough = reconstructed("enough", "--detail", "high", "--max-triangles", str(most))
+    assert enough == high and least < limit < most
+    with caplog.at_level(logging.INFO):
+        options = ("--detail", "high", "--max-triangles", str(limit))
+        some = reconstructed("some", *options, "--wedges")
+        wedges = json.loads((tmp_path / "some.json").read_text(encoding="utf-8"))["wedges"]
+        total = sum(row[0] for row in some.values())
+        assert f"; {total} triangles, {wedges} wedges, in" in caplog.text and wedges > 4 * len(some)
+        assert total <= limit and "remain" not in caplog.text
+        monkeypatch.setattr(area, "MAX_FOOTPRINTS", 5)
+        assert reconstructed("batches", *options, "--threads", "2") == some
+        assert reconstructed("none", "--detail", "high", "--max-triangles", "1") == low
+        assert f"warning: {least} triangles remain, more than reconstruct.max_triangles" in caplog.text
+    # cubic metres per triangle saved, of the buildings that are simpler and of those that could be
+    cost = {
+        key: (low[key][1] - row[1]) * row[2] / (row[0] - low[key][0])
+        for key, row in high.items()
+        if row[0] > low[key][0]
+    }
+    simpler = {key for key, row in some.items() if row != high[key]}
+    assert all(some[key] == low[key] for key in simpler) and 0 < len(simpler) < len(cost)
+    dearest = max(simpler, key=lambda key: cost[key])
+    # residuals in files have three digits
+    assert cost[dearest] <= min(cost[key] for key in cost if key not in simpler) + 0.02
+    assert total + high[dearest][0] - low[dearest][0] > limit

@@ -256,7 +256,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
         meshes = {} if name == "gone" else {"m": mesh.translated(at)}
         buildings.append(Shown(name, meshes, house.vertices + at, np.zeros(len(house.vertices)), facts))
     path = tmp_path_factory.mktemp("scene") / "scene.html"
-    path.write_text(scene_page("street", ["4 buildings"], buildings, [Layer("m", "Meshes", "#c8603a", True)]))
+    layers, crowns = [Layer("m", "Meshes", "#c8603a", True)], [mesh.translated(np.array([14.0, 0, 3]))]
+    path.write_text(scene_page("street", ["4 buildings"], buildings, layers, plants=crowns))
     return path
 
 
@@ -272,6 +273,21 @@ def test_the_page_of_a_scene_has_every_building_the_worst_first(scene: Path) -> 
     ]
     assert [each["state"] for each in data["buildings"]] == ["flagged", "flat", "ok", "none"]
     assert data["buildings"][2]["attributes"]["note"] is None and data["buildings"][3]["meshes"] == {}
+
+
+def test_crowns_can_be_hidden_and_a_click_goes_through_them(browser: Any, scene: Path) -> None:
+    view = Page(browser.new_page(viewport={"width": 1200, "height": 1000}), scene)
+    view.page.locator(".buildings tbody tr").nth(0).click()
+    view.page.locator("#viewer canvas").click(position={"x": 3, "y": 3})
+    view.page.locator("#viewer canvas").click()
+    assert view.building == "far"
+    before, box = view.pixels(), view.page.locator("#viewer input[name=plants]")
+    assert (
+        box.is_checked()
+        and view.page.locator("#viewer label:has([name=plants])").inner_text() == "Vegetation"
+    )
+    box.uncheck()
+    assert changed(before, view.pixels()) > 0.02 and view.messages == []
 
 
 def test_a_click_on_a_building_or_its_row_shows_its_attributes(browser: Any, scene: Path) -> None:

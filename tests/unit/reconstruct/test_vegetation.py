@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,6 +14,7 @@ import shapely
 import trimesh
 
 import p2wss
+from p2wss import cli
 from p2wss.clouds.reading import Cloud
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.vegetation import Plant, plants
@@ -82,7 +84,7 @@ def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> N
         "reconstruct": {"vegetation": True, "terrain_margin_m": 40, "materials": {"vegetation": "plywood"}}
     }
     with p2wss.reconstruct(points(5), frame, config=config, model="none", progress=False) as scene:
-        scene.write(tmp_path, ["cityjson", "cityjsonseq", "glb", "obj", "sionna"], name="town")
+        scene.write(tmp_path, ["cityjson", "cityjsonseq", "glb", "obj", "sionna", "report"], name="town")
     city = json.loads((tmp_path / "town.city.json").read_text())["CityObjects"]
     trees = {name: each for name, each in city.items() if each["type"] == "SolitaryVegetationObject"}
     assert len(trees) == 2 and set(city) == {*trees, "house"}
@@ -94,6 +96,19 @@ def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> N
         validity = p2wss.check(tmp_path / name)
         assert not validity.invalid
     assert list(p2wss.read(tmp_path / "town.city.json")) == ["house"]
+    p2wss_view = ["view", str(tmp_path / "town.city.json"), "--out", str(tmp_path / "view.html")]
+    assert cli.main(p2wss_view) == 0
+    for page in ("town.html", "view.html"):
+        text = (tmp_path / page).read_text(encoding="utf-8").split('id="viewer-data">')[1]
+        data = json.loads(text.split("</script>")[0])
+        assert data["plants"]["facts"] == f"{2 * 32} triangles" and len(data["buildings"]) == 1
+        vertex_m = np.frombuffer(base64.b64decode(data["plants"]["vertices"]), "<i4").reshape(-1, 3) / 1000
+        middle_m = (vertex_m.min(axis=0) + vertex_m.max(axis=0)) / 2 - np.mean(
+            data["buildings"][0]["bounds"], axis=0
+        )
+        # two crowns at x = 20 and 28, beside the house
+        assert middle_m[:2] == pytest.approx((24 - 55, 20 - 23), abs=0.6)
+        assert np.ptp(vertex_m[:, 0]) == pytest.approx(8 + 5, abs=1)
     glb = trimesh.load_scene(tmp_path / "town.glb")
     content = (tmp_path / "town.glb").read_bytes()
     nodes = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])["nodes"]

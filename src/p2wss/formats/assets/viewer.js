@@ -59,7 +59,7 @@
   }
   const steps = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
 
-  const visible = { points: true };
+  const visible = { points: true, plants: true };
   for (const method of data.methods) {
     visible[method.key] = method.ours;
     if (method.ours && data.methods.length > 1) root.querySelector(".ours").textContent = `the mesh of ${method.name}`;
@@ -224,11 +224,13 @@
       const all = together ? `${meshes.length} meshes` : meshes.length ? meshes[0][1].facts : "no mesh";
       descriptions.push(`${method.name}: ${all}`);
     }
+    // not of a building
+    if (data.plants) add(meshOf([[null, data.plants]], data.plants), data.plants.key);
     scene.add(parts);
     const gradient = `linear-gradient(90deg, ${RAMP.join(", ")})`;
     layers.replaceChildren(
       toggle("points", `Points: 0 to ${REACH} m from the mesh`, gradient),
-      ...data.methods.map((method) => toggle(method.key, method.name, method.color)),
+      ...[...data.methods, data.plants].filter(Boolean).map(({ key, name, color }) => toggle(key, name, color)),
     );
     const about = together ? `${indices.length} buildings` : buildings[0].about;
     facts.textContent = `${about}. ${descriptions.join("; ")}.`;
@@ -277,8 +279,8 @@
     ray.setFromCamera(new THREE.Vector2(x, y), camera);
     const faces = [];
     parts.traverse((part) => part.userData.owners && part.parent.visible && faces.push(part));
-    const hit = ray.intersectObjects(faces, false)[0];
-    return hit ? hit.object.userData.owners[hit.faceIndex] : -1;
+    const owners = ray.intersectObjects(faces, false).map((hit) => hit.object.userData.owners[hit.faceIndex]);
+    return owners.find((owner) => owner !== null) ?? -1;
   }
 
   function table(body, heads) {
