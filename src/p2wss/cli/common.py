@@ -55,14 +55,42 @@ device_option = option(
     more=True,
     help="where the network runs; auto: on a GPU if there is one",
 )
-quiet_option = option(
-    "--quiet",
-    "-q",
-    is_flag=True,
-    expose_value=False,
-    callback=lambda context, parameter, value: log.setLevel(logging.WARNING if value else logging.NOTSET),
-    help="show warnings and errors only",
+
+
+def _set_level(context: click.Context, parameter: click.Parameter, value: int | None) -> None:
+    if value:
+        log.setLevel(value)
+
+
+_level = {"expose_value": False, "callback": _set_level}
+_log_options = (
+    option("--quiet", "-q", flag_value=logging.WARNING, help="show warnings and errors only", **_level),
+    option(
+        "--verbose",
+        "-v",
+        flag_value=logging.DEBUG,
+        more=True,
+        help="show each building, step and file, with times",
+        **_level,
+    ),
+    option(
+        "--log-format",
+        type=click.Choice(["text", "json"]),
+        default="text",
+        expose_value=False,  # p2wss.storage.log_lines has read it before any error
+        more=True,
+        help="json: each line on stderr is an object with time, level, message, and building_id where known",
+    ),
 )
+
+
+def log_options(command: Any) -> Any:
+    """Add the options that say what a command shows on stderr."""
+    for add in reversed(_log_options):
+        command = add(command)
+    return command
+
+
 crs_option = option("--crs", help="CRS of clouds that do not state it, such as EPSG:28992")
 clouds_argument = click.argument(
     "clouds",

@@ -18,7 +18,7 @@ from p2wss.cli.common import (
     config_option,
     crs_option,
     device_option,
-    quiet_option,
+    log_options,
     threads_option,
     write_run,
 )
@@ -67,7 +67,7 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 )
 @option("--name", help="name of the files, without ending (default: that of the first cloud)")
 @threads_option
-@quiet_option
+@log_options
 @config_option
 @option(
     "--model",

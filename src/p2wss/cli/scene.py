@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from p2wss.cli import argument_checks
-from p2wss.cli.common import config_option, quiet_option, threads_option, write_run
+from p2wss.cli.common import config_option, log_options, threads_option, write_run
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import ALL, IGN, Config, load
 
@@ -52,7 +52,7 @@ OUTPUTS = ["cityjson", "sionna", "glb", "report"]
     "reconstruct.vegetation", more=False, help="also write trees and clumps of plants, as closed volumes"
 )
 @threads_option
-@quiet_option
+@log_options
 @config_option
 @setting("region.classes.preset", "--classes")
 @setting(
