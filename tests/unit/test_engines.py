@@ -20,8 +20,11 @@ def rules() -> dict[str, str]:
 
 @pytest.mark.parametrize("name", ["slurm", "kubernetes"])
 def test_a_profile_names_rules_and_groups_that_exist(name):
-    profile = yaml.safe_load((ROOT / f"profiles/{name}/config.yaml").read_text())
+    text = (ROOT / f"profiles/{name}/config.yaml").read_text()
+    profile = yaml.safe_load(text)
     assert profile["executor"] == name and profile["retries"] >= 1
+    # without its plugin snakemake only says that the executor is an invalid choice
+    assert f"pip install snakemake-executor-plugin-{name}" in text
     named = {*profile["groups"], *profile.get("set-resources", {})}
     assert named <= set(rules()), named - set(rules())
     # Snakemake 9.27 adds tiles to a group that runs when a checkpoint ends, and the run breaks off

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from datetime import datetime
 from hashlib import sha256
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import geopandas as gpd
@@ -16,6 +17,7 @@ import pytest
 
 import p2wss
 from p2wss import cli
+from p2wss.cli import doctor
 from p2wss.storage import files
 from p2wss.towns import write_demo
 
@@ -166,10 +168,18 @@ def test_json_is_all_that_stderr_gets(demo: Path, tmp_path: Path) -> None:
 def test_the_doctor_says_what_is_missing_for_what(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def missing(name: str) -> str:
+        if name.endswith("-slurm"):
+            raise PackageNotFoundError
+        return "1.0"
+
+    monkeypatch.setattr(doctor, "version", missing)
     monkeypatch.setenv("PATH", "")
     assert cli.main(["doctor"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines} > {*cli.EXTRAS, "p2wss", "cores", "pdal", "roofer"}
+    slurm = next(line for line in lines if line.startswith("slurm"))
+    assert slurm.endswith("invalid choice; pip install snakemake-executor-plugin-slurm")
     assert next(line for line in lines if line.startswith("pdal")).endswith("clouds that have no ground")
 
 
