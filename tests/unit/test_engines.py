@@ -57,9 +57,10 @@ def test_hosted_ci_and_ours_call_targets_that_exist():
     called = set(re.findall(r"\bmake ([\w-]+)", "\n".join(commands)))
     ours = set(re.findall(r"^make ([\w-]+)", (ROOT / ".ci/run").read_text(), re.M))
     assert called | ours <= TARGETS
-    assert {"lint", "dry-run", "test", "test-slurm"} <= called and {"dry-run", "test"} <= ours
+    assert {"lint", "dry-run", "test", "test-slurm", "test-live"} <= called and {"dry-run", "test"} <= ours
     on_push = [job for job in hosted["jobs"].values() if "if" not in job]
-    assert len(on_push) == 4 and "schedule" in hosted["jobs"]["slurm"]["if"]
+    weekly = [hosted["jobs"][name]["if"] for name in ("slurm", "live")]
+    assert len(on_push) == 4 and all("schedule" in condition for condition in weekly)
 
 
 def test_the_image_is_built_from_the_lock_file():
