@@ -4,6 +4,7 @@
 # make docs         the site of the documentation: site/index.html
 # make audit         known vulnerabilities of the pinned packages, from a service: needs the network
 # make test-faults   kills of the workflow, 10,000 damaged files, determinism of results: the slow tests of tests/faults
+# make test-live     what the code needs of IGN's services: needs the network
 # make test-wheel    the wheel in an empty environment, from its installation to a page of buildings
 # make test-slurm    the reduced miniature on a Slurm of this machine alone; as root, with Debian's packages of Slurm
 PYTHON ?= python3
@@ -14,7 +15,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-slurm test-wheel docs lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-live test-slurm test-wheel docs lint audit format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -49,6 +50,10 @@ test-slow: install
 
 test-faults: install
 	pytest -m slow --timeout 7200 tests/faults
+
+# what the code needs of IGN's services, of which one may change any day
+test-live: install
+	pytest -m live tests/unit/fetch
 
 # the wheel in an empty environment, up to a page of buildings: needs a package index
 test-wheel: install

@@ -20,8 +20,11 @@ def rules() -> dict[str, str]:
 
 @pytest.mark.parametrize("name", ["slurm", "kubernetes"])
 def test_a_profile_names_rules_and_groups_that_exist(name):
-    profile = yaml.safe_load((ROOT / f"profiles/{name}/config.yaml").read_text())
+    text = (ROOT / f"profiles/{name}/config.yaml").read_text()
+    profile = yaml.safe_load(text)
     assert profile["executor"] == name and profile["retries"] >= 1
+    # without its plugin snakemake only says that the executor is an invalid choice
+    assert f"pip install snakemake-executor-plugin-{name}" in text
     named = {*profile["groups"], *profile.get("set-resources", {})}
     assert named <= set(rules()), named - set(rules())
     # Snakemake 9.27 adds tiles to a group that runs when a checkpoint ends, and the run breaks off
@@ -66,9 +69,10 @@ def test_hosted_ci_and_ours_call_targets_that_exist():
     called = set(re.findall(r"\bmake ([\w-]+)", "\n".join(commands)))
     ours = set(re.findall(r"^make ([\w-]+)", (ROOT / ".ci/run").read_text(), re.M))
     assert called | ours <= TARGETS
-    assert {"lint", "dry-run", "test", "test-slurm"} <= called and {"dry-run", "test"} <= ours
+    assert {"lint", "dry-run", "test", "test-slurm", "test-live"} <= called and {"dry-run", "test"} <= ours
     on_push = [job for job in hosted["jobs"].values() if "if" not in job]
-    assert len(on_push) == 4 and "schedule" in hosted["jobs"]["slurm"]["if"]
+    weekly = [hosted["jobs"][name]["if"] for name in ("slurm", "live")]
+    assert len(on_push) == 4 and all("schedule" in condition for condition in weekly)
 
 
 def test_the_image_is_built_from_the_lock_file():

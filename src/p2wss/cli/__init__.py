@@ -18,6 +18,7 @@ import click
 from click.shell_completion import shell_complete
 
 from p2wss import __version__
+from p2wss.storage import log_lines
 from p2wss.storage.errors import InputError
 
 # module and command have the same name
@@ -98,16 +99,16 @@ def main(arguments: list[str] | None = None) -> int:
     the user can fix."""
     # numpy's matrices are small here: threads that wait for each other, spinning, only cost time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
+    words = sys.argv[1:] if arguments is None else arguments
+    log_lines.start(words)
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("pyogrio").setLevel(logging.WARNING)  # pyogrio reports every file that it writes
     if instruction := os.environ.get(_COMPLETE):
         return shell_complete(program, {}, "p2wss", _COMPLETE, instruction)
     try:
-        words = with_files(sys.argv[1:] if arguments is None else arguments)
         try:
-            with program.make_context("p2wss", words) as ctx:
+            with program.make_context("p2wss", with_files(words)) as ctx:
                 status = program.invoke(ctx) or 0
         except click.exceptions.NoArgsIsHelpError as error:
             print(error.format_message())
@@ -123,19 +124,13 @@ def main(arguments: list[str] | None = None) -> int:
         # the second is what compiled code makes of the first
         if not isinstance(error.__cause__ or error, KeyboardInterrupt):
             raise
-        print("p2wss: interrupted", file=sys.stderr)
-        return 128 + signal.SIGINT
+        return _failed("interrupted", 128 + signal.SIGINT)
     except ModuleNotFoundError as error:
         if error.name not in EXTRAS:
             raise
-        print(
-            f"p2wss: error: needs {error.name}; type: pip install 'p2wss[{EXTRAS[error.name]}]'",
-            file=sys.stderr,
-        )
-        return 2
+        return _failed(f"error: needs {error.name}; type: pip install 'p2wss[{EXTRAS[error.name]}]'")
     except (InputError, click.UsageError) as error:
-        print(f"p2wss: error: {_message(error)}", file=sys.stderr)
-        return 2
+        return _failed(f"error: {_message(error)}")
 
 
 def with_files(words: Iterable[str]) -> list[str]:
@@ -150,6 +145,15 @@ def with_files(words: Iterable[str]) -> list[str]:
         except (OSError, ValueError) as error:
             raise InputError(f"{word}: not a readable list of arguments: {error}") from error
     return result
+
+
+def _failed(text: str, status: int = 2) -> int:
+    """Say on stderr why the command ends, and return its status."""
+    if log_lines.is_json():
+        log_lines.log.error(text)
+    else:
+        print(f"p2wss: {text}", file=sys.stderr)
+    return status
 
 
 def _message(error: InputError | click.UsageError) -> str:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NotRequired
 
 import click
+from typing_extensions import TypedDict
 
 from p2wss.cli.parser import PATH, file_option, option, setting
 from p2wss.config import Config
@@ -55,13 +58,47 @@ device_option = option(
     more=True,
     help="where the network runs; auto: on a GPU if there is one",
 )
-quiet_option = option(
-    "--quiet",
-    "-q",
+
+
+def _set_level(context: click.Context, parameter: click.Parameter, value: int | None) -> None:
+    if value:
+        log.setLevel(value)
+
+
+_level = {"expose_value": False, "callback": _set_level}
+_log_options = (
+    option("--quiet", "-q", flag_value=logging.WARNING, help="show warnings and errors only", **_level),
+    option(
+        "--verbose",
+        "-v",
+        flag_value=logging.DEBUG,
+        more=True,
+        help="show each building, step and file, with times",
+        **_level,
+    ),
+    option(
+        "--log-format",
+        type=click.Choice(["text", "json"]),
+        default="text",
+        expose_value=False,  # p2wss.storage.log_lines has read it before any error
+        more=True,
+        help="json: each line on stderr is an object with time, level, message, and building_id where known",
+    ),
+)
+
+
+def log_options(command: Any) -> Any:
+    """Add the options that say what a command shows on stderr."""
+    for add in reversed(_log_options):
+        command = add(command)
+    return command
+
+
+clean_option = option(
+    "--clean",
     is_flag=True,
-    expose_value=False,
-    callback=lambda context, parameter, value: log.setLevel(logging.WARNING if value else logging.NOTSET),
-    help="show warnings and errors only",
+    more=True,
+    help="delete files in OUT that an earlier run of the same name wrote and this one does not",
 )
 crs_option = option("--crs", help="CRS of clouds that do not state it, such as EPSG:28992")
 clouds_argument = click.argument(
@@ -101,21 +138,29 @@ def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], No
 
 
 def write_run(
-    out: Path, scene: Scene, start_s: float, formats: list[str] | None = None, name: str | None = None
+    out: Path,
+    scene: Scene,
+    start_s: float,
+    formats: list[str] | None = None,
+    name: str | None = None,
+    clean: bool = False,
 ) -> None:
     """Write the files of a run that began at ``start_s``, and log what was written, how many buildings are what, which
-    to check, and what to do next."""
-    earlier = _delivered(out / f"{name or scene.name}.json")
+    to check, and what to do next. clean: delete the files of earlier runs that this one does not write."""
+    earlier = _delivered(out, f"{name or scene.name}.json")
     written = scene.write(out, formats, name)
     names = [str(path.relative_to(out)) for path in written]
     log.info("%s: %s", out, ", ".join(names))
-    facts = files.read_json(written[-1], dict[str, Any])
-    counts, wedges = facts["buildings"], facts["wedges"]
+    content = files.read_json(written[-1], dict[str, Any])
+    counts, wedges = content["buildings"], content["wedges"]
     more = "" if wedges is None else f", {wedges} wedges"
     size = f"{counts['triangles']} triangles{more}"
     log.info("%s; %s, in %.0f s", scene.summary, size, time.monotonic() - start_s)
-    if old := sorted(path for path in earlier - _delivered(written[-1]) if (out / path).exists()):
-        log.warning("warning: %s: of an earlier run, not of this one; delete them: %s", out, ", ".join(old))
+    old = {path: digest for path, digest in earlier.items() if path not in content["sha256"]}
+    if left := {path: old[path] for path in sorted(old) if not (clean and _deleted(out, path, old[path]))}:
+        files.write_json(written[-1], content | {"earlier": left})
+        text = "warning: %s: of an earlier run, not of this one; --clean deletes what is unchanged: %s"
+        log.warning(text, out, ", ".join(left))
     if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
         log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
     if to_check := counts["to_check"]:
@@ -126,12 +171,32 @@ def write_run(
         log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
 
 
-def _delivered(summary: Path) -> set[str]:
-    """The files that a summary of a run lists; none if there is no summary, or another file of this name."""
+class _Files(TypedDict):
+    """Of a summary: SHA-256 of the files of the run, and of those that earlier runs left."""
+
+    sha256: dict[str, str]
+    earlier: NotRequired[dict[str, str]]
+
+
+def _delivered(out: Path, summary: str) -> dict[str, str]:
+    """The files in ``out`` that the summary of a run lists; none without it, or if it is another file of this name."""
     try:
-        return set(files.read_json(summary, dict[str, Any]).get("sha256", {}))
+        listed: _Files = files.read_json(out / summary, _Files)
     except InputError:
-        return set()
+        return {}
+    both = listed["sha256"] | listed.get("earlier", {})
+    return {path: digest for path, digest in both.items() if (out / path).is_file()}
+
+
+def _deleted(out: Path, name: str, digest: str) -> bool:
+    """Delete a file, and its folder with the last one, if it is within ``out`` and as p2wss wrote it."""
+    path = (out / name).resolve()
+    if not path.is_relative_to(out.resolve()) or files.sha256(path) != digest:
+        return False
+    path.unlink()
+    with suppress(OSError):
+        os.removedirs(path.parent)
+    return True
 
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:

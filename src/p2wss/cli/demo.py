@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import log, quiet_option, write_run
+from p2wss.cli.common import log, log_options, write_run
 from p2wss.cli.parser import PATH, Command
 
 
@@ -15,7 +15,7 @@ from p2wss.cli.parser import PATH, Command
 @click.argument(
     "folder", type=PATH, default="p2wss-demo", metavar="[FOLDER]", help="folder to write (p2wss-demo)"
 )
-@quiet_option
+@log_options
 def demo(folder: Path) -> None:
     """Draw a small town and its LiDAR, and reconstruct it."""
     import p2wss

@@ -22,10 +22,11 @@ COSTS = {
     "matplotlib": "no report of the evaluation",
     "PIL": "no report of the evaluation",
     "snakemake": "no pipeline",
+    "slurm": "profiles/slurm cannot be used: snakemake says that --executor slurm is an invalid choice",
     "pdal": "fetch prepare cannot classify clouds that have no ground",
     "roofer": "the evaluation uses recorded results of Roofer, or none",
 }
-_DISTRIBUTIONS = {"PIL": "pillow"}
+_DISTRIBUTIONS = {"PIL": "pillow", "slurm": "snakemake-executor-plugin-slurm"}
 
 
 @click.command(cls=Command)
@@ -45,11 +46,13 @@ def doctor() -> None:
         "compiled code": state,
         "temporary files": f"{shutil.disk_usage(scratch).free / 1e9:.0f} GB free in {scratch}",
     }
-    for package, extra in EXTRAS.items():
+    for package in (*EXTRAS, "slurm"):
+        distribution = _DISTRIBUTIONS.get(package, package)
         try:
-            rows[package] = version(_DISTRIBUTIONS.get(package, package))
+            rows[package] = version(distribution)
         except PackageNotFoundError:
-            rows[package] = f"missing: {COSTS[package]}; pip install 'p2wss[{extra}]'"
+            needed = f"'p2wss[{EXTRAS[package]}]'" if package in EXTRAS else distribution
+            rows[package] = f"missing: {COSTS[package]}; pip install {needed}"
     for program in ("pdal", "roofer"):
         rows[program] = shutil.which(program) or f"missing: {COSTS[program]}"
     for name, text in rows.items():

@@ -137,11 +137,10 @@ def _vector(path: Path) -> Facts:
     import pyogrio
 
     layers: list[Facts] = []
-    dataset: Facts = {}
+    info: Facts = {}
     for name in pyogrio.list_layers(path)[:, 0]:
         info = pyogrio.read_info(path, layer=name, force_feature_count=True, force_total_bounds=True)
         metadata = info["layer_metadata"] or {}
-        dataset = info["dataset_metadata"] or {}
         bounds = info["total_bounds"]
         layers.append(
             {
@@ -154,9 +153,8 @@ def _vector(path: Path) -> Facts:
                 **_provenance(metadata.get("p2wss")),
             }
         )
-    return {"kind": f"vector, {pyogrio.read_info(path)['driver']}", "layers": layers} | _provenance(
-        dataset.get("p2wss")
-    )
+    dataset = info["dataset_metadata"] or {}
+    return {"kind": f"vector, {info['driver']}", "layers": layers} | _provenance(dataset.get("p2wss"))
 
 
 def _raster(path: Path) -> Facts:

@@ -15,10 +15,11 @@ from click.core import ParameterSource
 from p2wss.cli import argument_checks
 from p2wss.cli.common import (
     classes_option,
+    clean_option,
     config_option,
     crs_option,
     device_option,
-    quiet_option,
+    log_options,
     threads_option,
     write_run,
 )
@@ -67,7 +68,8 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 )
 @option("--name", help="name of the files, without ending (default: that of the first cloud)")
 @threads_option
-@quiet_option
+@log_options
+@clean_option
 @config_option
 @option(
     "--model",
@@ -110,6 +112,7 @@ def reconstruct(
     model: Path | None,
     device: DeviceName,
     name: str | None,
+    clean: bool,
     **chosen: Any,
 ) -> None:
     """Reconstruct buildings from your own LiDAR and footprints.
@@ -143,7 +146,7 @@ def reconstruct(
     if chosen["bbox"] is not None:
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
     with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
-        write_run(out, result, start, name=name)
+        write_run(out, result, start, name=name, clean=clean)
 
 
 @contextmanager

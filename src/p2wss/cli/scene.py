@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from p2wss.cli import argument_checks
-from p2wss.cli.common import config_option, quiet_option, threads_option, write_run
+from p2wss.cli.common import clean_option, config_option, log_options, threads_option, write_run
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import ALL, IGN, Config, load
 
@@ -52,7 +52,8 @@ OUTPUTS = ["cityjson", "sionna", "glb", "report"]
     "reconstruct.vegetation", more=False, help="also write trees and clumps of plants, as closed volumes"
 )
 @threads_option
-@quiet_option
+@log_options
+@clean_option
 @config_option
 @setting("region.classes.preset", "--classes")
 @setting(
@@ -66,6 +67,7 @@ def scene(
     radius_m: float,
     dry_run: bool,
     threads: int,
+    clean: bool,
     config: Config,
 ) -> None:
     """From a place on the map to a scene for radar: fetch its footprints, terrain and LiDAR, and reconstruct it.
@@ -101,4 +103,4 @@ def scene(
     with p2wss.reconstruct(
         data.clouds, data.footprints, terrain=data.terrain, config=config, threads=threads
     ) as result:
-        write_run(out, result, start, name="scene")
+        write_run(out, result, start, name="scene", clean=clean)

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import json
+import os
+import sqlite3
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 
 from p2wss.storage import files
+
+# as QGIS makes it
+_STYLES = """
+CREATE TABLE layer_styles (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
+    f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT,
+    useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30), update_time DATETIME
+)
+"""
 
 
 def write(
@@ -18,9 +30,10 @@ def write(
     facts: dict[str, Any],
     layer: str = "buildings",
     more: Mapping[str, gpd.GeoDataFrame] | None = None,
+    style: str = "",
 ) -> None:
     """Write a layer, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``, and after it those
-    of ``more`` by their names.
+    of ``more`` by their names. style: QML, with which QGIS opens the first layer.
 
     Raises :class:`InputError` that names ``path`` if it cannot be written.
     """
@@ -37,5 +50,23 @@ def write(
             )
             for name, rows in (more or {}).items():
                 rows.to_file(temporary, driver="GPKG", layer=name, engine="pyogrio", mode="a")
-        except RuntimeError as error:  # pyogrio's errors, a full disk among them, are not OSErrors
+            if style:
+                _add_style(temporary, layer, style)
+        except (RuntimeError, sqlite3.Error) as error:  # of a full disk, for instance, and no OSErrors
             raise OSError(str(error)) from error
+
+
+def _add_style(path: Path, layer: str, style: str) -> None:
+    """Store a style in the table in which QGIS looks for that of a layer."""
+    with closing(sqlite3.connect(path)) as file, file:
+        file.execute(_STYLES)
+        file.execute(
+            "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
+            "styleQML, styleSLD, useAsDefault, update_time) VALUES ('', '', ?, 'geom', ?, ?, '', 1, ?)",
+            (layer, layer, style, os.environ["OGR_CURRENT_DATE"]),
+        )
+        file.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change) "
+            "VALUES ('layer_styles', 'attributes', 'layer_styles', ?)",
+            (os.environ["OGR_CURRENT_DATE"],),
+        )

@@ -24,6 +24,7 @@ from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 
 # a building depends on points up to so far from its footprint, which may move and turn
 MARGIN_M = GROUND_RINGS_M[-1] + 2 * MAX_SHIFT_M
@@ -160,6 +161,7 @@ def run_area(
     num_done = 0
     for batch in area.batches(points):
         frame, registrations, cloud = area.read(batch, points, registers)
+        log.debug("batch of %d buildings: %d points around them", len(batch), len(cloud.x_m))
         report = partial(_report, progress, num_done)
         rows.reconstruct(position[batch], frame, cloud, report, registrations)
         num_done += len(batch)

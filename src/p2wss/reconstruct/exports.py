@@ -14,7 +14,7 @@ import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.data.terrain import Terrain
-from p2wss.formats import gpkg, sionna
+from p2wss.formats import gpkg, qgis, sionna
 from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
@@ -155,7 +155,9 @@ def _write_results(
         return
     rows = table(results, crs, facts, config.attribute_names)
     if output == "gpkg":
-        gpkg.write(path, rows, facts, more={} if before is None else {"input_footprints": before})
+        gpkg.write(
+            path, rows, facts, more={} if before is None else {"input_footprints": before}, style=qgis.STYLE
+        )
         return
     if before is not None:
         rows["input_geometry"] = before.geometry

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date, timedelta
@@ -31,8 +31,8 @@ from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
 from p2wss.reconstruct.spool import Lazy
+from p2wss.storage.log_lines import log
 
-log = logging.getLogger("p2wss")
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress: of each process, and with a network, which is faster with many
@@ -221,6 +221,19 @@ class Rows:
         return in_processes(lambda share: self._done(share, config), rows, self._num_processes)
 
     def _done(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
+        """The results of these rows; without a network one after the other, so that the log has the time of each."""
+        size = 1 if self._predictor is None else max(len(rows), 1)
+        results: list[Result] = []
+        for first in range(0, len(rows), size):
+            start = time.perf_counter()
+            part = self._together(rows[first : first + size], config)
+            seconds = (time.perf_counter() - start) / len(part)
+            for each in part:
+                _log_building(each, seconds)
+            results += part
+        return results
+
+    def _together(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
         """The results of these rows, from the points that are their own. One whose footprint has another status than
         "ok" gets no mesh."""
         rows = [replace(row, building=with_own_classes(row.building)) for row in rows]
@@ -245,6 +258,14 @@ def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     values = pd.DataFrame(frame[columns]).astype(object)
     rows = values.where(values.notna(), None).to_dict("records")
     return [{str(name): value for name, value in row.items()} for row in rows]
+
+
+def _log_building(result: Result, seconds: float) -> None:
+    building_id, reason = result.reconstruction.building_id, f" ({result.reason})" if result.reason else ""
+    fields = {"building_id": building_id, "status": result.status, "seconds": round(seconds, 3)}
+    points = f"{result.num_points} points, {result.residual_m:.3f} m from the mesh"
+    text = "%s: %s%s, %s, %.2f s"
+    log.debug(text, building_id, result.status, reason, points, seconds, extra={"fields": fields})
 
 
 def _dates(cloud: Cloud, point: np.ndarray) -> tuple[date, date] | None:

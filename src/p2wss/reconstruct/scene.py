@@ -296,7 +296,9 @@ def reconstruct(
             height_field=settings.height_field or None,
             metric=inputs.metric,
         )
+    log.debug("%d footprints read", len(features))
     frame = clean_footprints(features, footprint_settings(config))
+    log.debug("%d footprints cleaned", len(frame))
     is_chosen = in_tile(frame, tile, config.region.tile_size_m)
     is_chosen &= chosen(frame, selection.ids, selection.bbox, inputs.footprints_name)
     area = Area(frame, is_chosen, settings)

@@ -26,6 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 from p2wss import __version__
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
 # GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
@@ -72,6 +73,7 @@ def atomic(path: str | Path, seal: bool = False) -> Iterator[Path]:
             os.fsync(file.fileno())
         temporary.chmod(0o644)
         temporary.replace(path)
+        log.debug("%s: written, %d bytes", path, Path(path).stat().st_size)
     except OSError as error:
         raise InputError(f"{path}: not written: {error.strerror or error}") from error
     finally:

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
-log = logging.getLogger("p2wss")
+from p2wss.storage.log_lines import is_json, log
 
 INTERVAL_S = 2.0
 
@@ -19,7 +19,8 @@ class Progress:
     """How many of ``total`` items are done, for use in a ``with`` block.
 
     On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every two seconds and none for
-    the last item, because a summary follows. Nothing is shown where the log's level hides information.
+    the last item, because a summary follows. Nothing is shown where the log's level hides information, and no bar
+    where it shows details.
     ``initial`` items were done before, for example by the run that this one resumes.
     """
 
@@ -39,7 +40,7 @@ class Progress:
         self._bar: Any = None
 
     def __enter__(self) -> Progress:
-        if sys.stderr.isatty() and log.isEnabledFor(logging.INFO):
+        if sys.stderr.isatty() and log.getEffectiveLevel() == logging.INFO and not is_json():
             from tqdm import tqdm
             from tqdm.contrib.logging import logging_redirect_tqdm
 

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
+import re
+import subprocess
+import sys
+from datetime import datetime
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import geopandas as gpd
@@ -11,7 +17,9 @@ import pytest
 
 import p2wss
 from p2wss import cli
+from p2wss.cli import doctor
 from p2wss.reconstruct import area
+from p2wss.storage import files
 from p2wss.towns import write_demo
 
 
@@ -72,7 +80,30 @@ def test_files_that_an_earlier_run_left_are_named(
         assert run(demo, tmp_path, "--ids", one, "--outputs", "glb,gpkg") == 0
         assert "earlier run" not in caplog.text
         assert run(demo, tmp_path, "--ids", one) == 0
-    assert "of an earlier run, not of this one; delete them: lidar.glb, lidar.gpkg" in caplog.text
+        assert "not of this one; --clean deletes what is unchanged: lidar.glb, lidar.gpkg" in caplog.text
+        caplog.clear()
+        assert run(demo, tmp_path, "--ids", one) == 0
+    assert "lidar.glb, lidar.gpkg" in caplog.text
+
+
+def test_clean_deletes_what_earlier_runs_wrote_and_nothing_else(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, out = gpd.read_file(demo / "footprints.gpkg")["cleabs"][0], tmp_path / "out"
+    assert run(demo, out, "--ids", one, "--outputs", "glb,gpkg,sionna,obj", "--clean") == 0
+    assert run(demo, out, "--ids", one, "--outputs", "glb", "--name", "other") == 0
+    assert run(demo, out, "--ids", one) == 0
+    # a file of the user's, one that p2wss wrote and the user changed, and a summary that lists files elsewhere
+    for path in (out / "lidar_notes.txt", out / "lidar.gpkg", tmp_path / "x"):
+        path.write_text("mine", encoding="utf-8")
+    summary = json.loads((out / "lidar.json").read_text(encoding="utf-8"))
+    summary["earlier"]["../x"] = sha256(b"mine").hexdigest()
+    files.write_json(out / "lidar.json", summary)
+    with caplog.at_level(logging.WARNING):
+        assert run(demo, out, "--ids", one, "--clean") == 0
+    kept = {"lidar.city.json", "lidar.json", "other.glb", "other.json", "lidar.gpkg", "lidar_notes.txt"}
+    assert {path.name for path in out.iterdir()} == kept and (tmp_path / "x").exists()
+    assert caplog.text.rstrip().endswith("unchanged: ../x, lidar.gpkg")
 
 
 def test_footprints_beyond_the_cloud_are_counted(
@@ -102,13 +133,54 @@ def test_quiet_says_nothing_of_a_run_without_faults(
     assert "1 buildings: 1 ok" in caplog.text
 
 
+def test_verbose_names_buildings_and_files_with_times(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, two = gpd.read_file(demo / "footprints.gpkg")["cleabs"][:2]
+    assert run(demo, tmp_path, "--ids", one, "-v") == 0
+    (line,) = re.findall(f"{one}: ok, .*", caplog.text)
+    assert re.fullmatch(r".*, \d+ points, 0\.\d+ m from the mesh, \d+\.\d+ s", line)
+    assert f"{tmp_path / 'lidar.city.json'}: written, " in caplog.text
+    assert run(demo, tmp_path, "--ids", two) == 0
+    assert f"{two}: ok" not in caplog.text
+
+
+def test_json_is_all_that_stderr_gets(demo: Path, tmp_path: Path) -> None:
+    footprints = demo / "footprints.gpkg"
+    one = gpd.read_file(footprints)["cleabs"][0]
+    command = [sys.executable, "-m", "p2wss.cli", "reconstruct", demo / "lidar.laz", footprints, tmp_path]
+    for options, status, last in (
+        (["--ids", one, "-v", "--outputs", "cityjson"], 0, ("info", "1 buildings: 1 ok")),
+        (["--ids", "x"], 2, ("error", f"{footprints.name}: has no building x")),
+        (["--outputs", "x"], 2, ("error", "reconstruct.outputs")),
+        (["--no-such"], 2, ("error", "No such option '--no-such'")),
+    ):
+        done = subprocess.run([*command, "--log-format", "json", *options], capture_output=True, check=False)
+        rows = [json.loads(line) for line in done.stderr.splitlines()]
+        assert done.returncode == status and (rows[-1]["level"], True) == (
+            last[0],
+            last[1] in rows[-1]["message"],
+        )
+        assert all(datetime.fromisoformat(row["time"]).tzinfo for row in rows)
+        of_building = [row for row in rows if "building_id" in row]
+        assert [(row["building_id"], row["status"]) for row in of_building] == [(one, "ok")] * (status == 0)
+
+
 def test_the_doctor_says_what_is_missing_for_what(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def missing(name: str) -> str:
+        if name.endswith("-slurm"):
+            raise PackageNotFoundError
+        return "1.0"
+
+    monkeypatch.setattr(doctor, "version", missing)
     monkeypatch.setenv("PATH", "")
     assert cli.main(["doctor"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert {line.split()[0] for line in lines} > {*cli.EXTRAS, "p2wss", "cores", "pdal", "roofer"}
+    slurm = next(line for line in lines if line.startswith("slurm"))
+    assert slurm.endswith("invalid choice; pip install snakemake-executor-plugin-slurm")
     assert next(line for line in lines if line.startswith("pdal")).endswith("clouds that have no ground")
 
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,8 @@ def test_vector() -> None:
 
 
 def test_a_gpkg_of_p2wss_has_its_provenance(tmp_path: Path) -> None:
-    gpkg.write(tmp_path / "a.gpkg", gpd.read_file(GPKG).iloc[:3], FACTS)
+    gpkg.write(tmp_path / "a.gpkg", gpd.read_file(GPKG).iloc[:3], FACTS, style="<qgis/>")
+    warnings.simplefilter("error")  # of several layers
     assert describe(tmp_path / "a.gpkg")["provenance"] == SHOWN
 
 
