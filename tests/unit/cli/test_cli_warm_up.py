@@ -52,7 +52,7 @@ def test_nothing_to_do_the_second_time(
     monkeypatch.setenv(FOLDER, str(tmp_path))
     monkeypatch.setattr(of_reconstruct, "TASKS", (first_a, first_b))
     monkeypatch.setattr(of_reconstruct, "warm_product", last)
-    with caplog.at_level("INFO", logger="p2wss"):
+    with caplog.at_level("INFO"):
         assert cli.main(["warm-up", "--jobs", "1"]) == 0
         assert "compiled in" in caplog.text and "all code is already compiled" not in caplog.text
         assert cli.main(["warm-up", "--jobs", "1"]) == 0
