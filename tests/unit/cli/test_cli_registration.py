@@ -85,7 +85,10 @@ def test_off_leaves_footprints_where_they_are(place: Path) -> None:
         assert rows["shift_x_m"].isna().all()
         page = (place / "out" / "cloud.html").read_text()
         assert "registration: off" in page and "marker-end" not in page
-        assert pyogrio.list_layers(place / "out" / "cloud.gpkg")[:, 0].tolist() == ["buildings", "layer_styles"]
+        assert pyogrio.list_layers(place / "out" / "cloud.gpkg")[:, 0].tolist() == [
+            "buildings",
+            "layer_styles",
+        ]
 
 
 def test_a_tile_gives_the_same_as_the_whole(place: Path) -> None:
