@@ -50,6 +50,8 @@ class Rules:
 
 RULES = Rules()
 _NEAR_M, _MIDDLE_M, _FAR_M = RULES.bands_m
+# a network's footprint may have a vertex twice: the edge between has no direction, and stays
+_LEAST_M = 1e-9
 
 
 def move_walls(
@@ -93,7 +95,7 @@ def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndar
     it would move a corner by more than ``most_m``, or leave hardly anything of an edge."""
     after = np.roll(ring, -1, axis=0)
     length = np.linalg.norm(after - ring, axis=1)
-    along = (after - ring) / length[:, None]
+    along = (after - ring) / np.maximum(length, _LEAST_M)[:, None]
     inward = np.column_stack([-along[:, 1], along[:, 0]])
     shift_m = shift_m.copy()
     while shift_m.any():
@@ -171,7 +173,7 @@ def _beside(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the points (m, 2 or 3) beside an edge, but not beside its ends: the place along it from 0 to 1, how far they
     are behind it, and their rows."""
-    length = float(np.hypot(*(end - start)))
+    length = max(float(np.hypot(*(end - start))), _LEAST_M)
     along = (end - start) / length
     offset = point_m[:, :2] - start
     place, depth = offset @ along, offset @ np.array([-along[1], along[0]])

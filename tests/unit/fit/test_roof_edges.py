@@ -32,6 +32,14 @@ def test_the_wall_moves_to_where_the_roof_begins(angle_deg):
     assert ring[2:] == pytest.approx(RING[2:]) and ring[:2, 0] == pytest.approx(RING[:2, 0])
 
 
+def test_a_vertex_twice_moves_with_its_wall():
+    point_m, classes = survey()
+    inside = (point_m[:, :2] > 0).all(axis=1) & (point_m[:, :2] < RING[2]).all(axis=1)
+    twice = RING[[0, 0, 1, 2, 3]]
+    (ring,) = move_walls([twice], point_m[inside & (classes == 6)], point_m, classes, 1.0)
+    assert np.isfinite(ring).all() and ring[3:] == pytest.approx(twice[3:])
+
+
 def test_it_moves_no_further_than_allowed():
     assert moved(*survey(), max_shift_m=0.4)[0, 1] == pytest.approx(0.4)
     assert np.array_equal(moved(*survey(), max_shift_m=0.0), RING)
