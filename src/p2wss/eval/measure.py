@@ -17,7 +17,7 @@ from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
 from p2wss.eval.metrics.structure import false_and_missing_share
-from p2wss.eval.parameters import parameter_errors, target_height_m
+from p2wss.eval.parameters import parameter_errors
 from p2wss.eval.reconstructions import Key
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.mesh import Mesh
@@ -100,19 +100,21 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
         }
     true = true_mesh(case)
     if true is not None:
-        true = true.translated(building.position_m - reconstruction.position_m)
+        true = true.translated(-reconstruction.position_m)
         row["false_edge_share"], row["missing_edge_share"] = false_and_missing_share(mesh, true)
     return row
 
 
 def true_mesh(case: Case) -> Mesh | None:
-    """The building of the labels, in the frame of the points; None without labels."""
-    if case.angle_deg is None:
+    """The building of the labels, in the CRS; None without labels."""
+    if case.angle_deg is None or case.eave_height_m is None or case.label_terrain_z_m is None:
         return None
-    height_m = np.array([target_height_m(case)])
+    # from its own ground: that of the cloud may be above the eaves
+    height_m = np.array([case.eave_height_m])
     polygons = Polygons.from_rings([list(case.building.rings)])
     highest_m = Buildings().max_roof_height_m
-    return Mesh.of_kernel(skeleton.build(polygons, case.angle_deg, height_m, max_roof_height_m=highest_m), 0)
+    built = skeleton.build(polygons, case.angle_deg, height_m, max_roof_height_m=highest_m)
+    return Mesh.of_kernel(built, 0).translated(np.array([*case.building.origin_xy_m, case.label_terrain_z_m]))
 
 
 def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:

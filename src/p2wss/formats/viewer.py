@@ -84,7 +84,9 @@ def viewer(
 ) -> Viewer:
     """The view of these buildings, of which there is at least one: one at a time, or all ``together``. plants: in the
     frame of the buildings, which can be hidden."""
-    crowns = {"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(Mesh.joined(plants))}
+    crowns = None
+    if plants:
+        crowns = {"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(Mesh.joined(plants))}
     data = {
         "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
         "methods": [
@@ -92,7 +94,7 @@ def viewer(
             for layer in layers
         ],
         "together": together,
-        "plants": crowns if plants else None,
+        "plants": crowns,
         "buildings": [_building(building) for building in buildings],
     }
     assets = files("p2wss.formats") / "assets"

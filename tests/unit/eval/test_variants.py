@@ -72,6 +72,17 @@ def test_roof_edges_are_compared_with_the_labels(frame: pd.DataFrame) -> None:
     )
 
 
+def test_the_true_roof_does_not_depend_on_the_ground_of_the_cloud(hamlet_cases: list[cases.Case]) -> None:
+    case = next(case for case in hamlet_cases if case.is_labelled)
+    assert case.label_terrain_z_m is not None and case.eave_height_m is not None
+    # as where the ground around a building on a slope is above its eaves
+    high = replace(case, building=replace(case.building, ground_z_m=case.label_terrain_z_m + 50))
+    one, other = measure.true_mesh(case), measure.true_mesh(high)
+    assert one is not None and other is not None and len(one.triangle) > 4
+    assert np.array_equal(one.vertex_m, other.vertex_m)
+    assert one.vertex_m[:, 2].min() == case.label_terrain_z_m
+
+
 def test_only_real_buildings_are_of_planes() -> None:
     real = methods.for_dataset(RECONSTRUCT, REAL)
     simulated = methods.for_dataset(RECONSTRUCT, SIMULATED)
