@@ -223,6 +223,21 @@ def test_a_face_that_is_not_planar_becomes_triangles() -> None:
         assert len(surfaces) > len(whole) and len({s.face for s in surfaces}) == len(whole)
 
 
+@pytest.mark.parametrize(("off_m", "num_faces"), [(0.0, 6), (0.0002, 6), (0.001, 7)])
+def test_a_face_that_is_off_by_more_than_rounding_is_written_as_triangles(
+    off_m: float, num_faces: int
+) -> None:
+    """A corner that is off by so much is off the plane of least squares by a quarter of that."""
+    meshes = skeleton.build(
+        Polygons.from_rings([[np.array(BOX[:4], float)[:, :2]]]), np.zeros(4), np.array([4.0])
+    )
+    box = Mesh.of_kernel(meshes, 0)
+    vertex_m = box.vertex_m.copy()
+    vertex_m[vertex_m[:, 2].argmax(), 2] += off_m
+    surfaces, broken = surfaces_to_write(box.moved(vertex_m))
+    assert len(surfaces) == num_faces and not broken
+
+
 def test_a_solid_inside_out_breaks_the_rule_of_the_shell() -> None:
     mesh = roofs()[1]
     turned = mesh.moved(mesh.vertex_m * [1, 1, -1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from toy_clouds import LAMBERT, cleaned
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
+from p2wss.data.building import Reconstruction
+from p2wss.fit import fitting
 from p2wss.nets.predictor import load_predictor
 from p2wss.reconstruct.area import window
 from p2wss.reconstruct.network import Predictor
@@ -104,3 +108,29 @@ def test_a_building_does_not_depend_on_the_order_of_the_points(town: tuple[gpd.G
     shuffled = Cloud(*(column[order] for column in columns), LAMBERT)
     first = reconstructions(frame[:12], cloud, None, Reconstruct())
     assert reconstructions(frame[:12], shuffled, None, Reconstruct()) == first
+
+
+def test_a_house_with_few_points_has_those_of_the_roofs_around_it_whatever_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shapes = [shapely.box(664_300 + 6 * i, 6_360_700, 664_306 + 6 * i, 6_360_709) for i in range(4)]
+    low, high = np.array([664_299.0, 6_360_699.0]), np.array([664_325.0, 6_360_710.0])
+    x, y = np.round(np.random.default_rng(5).uniform(low, high, (140, 2)).T, 2)
+    inside = shapely.contains_xy(shapely.union_all(shapes), x, y)
+    z = np.round(560 + np.where(inside, 4 + 0.8 * (4.5 - np.abs(y - 6_360_704.5)), 0), 2)
+    cloud = Cloud(x, y, z, np.where(inside, 6, 2).astype(np.uint8), LAMBERT)
+    frame = gpd.GeoDataFrame({"building_id": list("abcd")}, geometry=shapes, crs=LAMBERT)
+    seen: dict[str, np.ndarray] = {}
+    fit_building = fitting.fit_building
+
+    def observed(task: Any) -> Reconstruction:
+        seen[task.building.building_id] = task.building.around_m + task.building.position_m
+        return fit_building(task)
+
+    monkeypatch.setattr(fitting, "fit_building", observed)
+    together = reconstructions(frame, cloud, None, Reconstruct())
+    others = inside & ~shapely.contains_xy(shapes[1], x, y)
+    beside = others & shapely.dwithin(shapes[1], shapely.points(x, y), 12.0)
+    expected = sorted(map(tuple, np.column_stack([x, y, z])[beside].tolist()))
+    assert sorted(map(tuple, np.round(seen["b"], 2).tolist())) == expected and len(expected) > 50
+    assert reconstructions(frame.iloc[[1]], cloud, None, Reconstruct()) == {"b": together["b"]}
