@@ -23,8 +23,8 @@ _MAX_ROUNDS = 4
 # metres above the ground: no roof is lower, at a price beyond all others
 _LOWEST_M, _FORBIDDEN_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
-# how a cell was reached: not at all, or as the start of a path; otherwise by a side
-_NOT_REACHED, _START = -2, -1
+# steps to a cell that no path reaches
+_NOT_REACHED = -1
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,10 @@ class Costs:
         return groups(len(label), self.pair[~self.is_step_at(label)])
 
     def without(self, line: int) -> Costs:
-        """The costs if a line divides nothing: cells on both sides of it get one plane."""
+        """The costs if there is no step along a line."""
         side_m3 = self.side_m3.copy()
-        side_m3[self.line == line] += _FORBIDDEN_M3 * ~np.eye(self.cell_m3.shape[1], dtype=bool)
+        on_line = self.line == line
+        side_m3[on_line] += _FORBIDDEN_M3 * self.is_step[on_line]
         return replace(self, side_m3=side_m3)
 
     def of(self, cells: np.ndarray, planes: np.ndarray, label: np.ndarray) -> Costs:
@@ -148,14 +149,19 @@ def least_cost(costs: Costs) -> np.ndarray:
             return label
         line = int(np.where(is_short, steps_m, np.inf).argmin())
         tried.add(line)
-        without_line = costs.without(line)
-        other, other_m3 = _with_fewer_faces(without_line)
+        face = costs.faces(label)
+        beside = face[costs.pair[(costs.line == line) & costs.is_step_at(label)]]
+        cells = np.flatnonzero(np.isin(face, beside))
+        planes = np.unique(np.append(label[cells], _around(costs, label, cells)))
+        own, other = costs.of(cells, planes, label).without(line), label.copy()
+        other[cells] = planes[_with_fewer_faces(own)[0]]
+        other_m3 = costs.total_m3(other)
         if other_m3 < total_m3 - _GAIN_M3:
-            label, total_m3, costs = other, other_m3, without_line
+            label, total_m3, costs = other, other_m3, costs.without(line)
 
 
 def _with_fewer_faces(costs: Costs) -> tuple[np.ndarray, float]:
-    """The labels (c,) of least cost, from which faces have given way to those around them, and what they cost."""
+    """The labels (c,) of least cost from which faces have given way to those around them, and what they cost."""
     label = _expanded(costs, costs.cell_m3.argmin(axis=1))
     total_m3, tried = costs.total_m3(label), set()
     while True:
@@ -166,9 +172,12 @@ def _with_fewer_faces(costs: Costs) -> tuple[np.ndarray, float]:
             if key in tried:
                 continue
             tried.add(key)
-            simpler = _given_away(costs, label, cells)
-            if simpler is None:
+            around = _around(costs, label, cells)
+            around = around[around != label[cells[0]]]
+            if not len(around):
                 continue
+            own, simpler = costs.of(cells, around, label), label.copy()
+            simpler[cells] = around[_expanded(own, own.cell_m3.argmin(axis=1))]
             simpler_m3 = costs.total_m3(simpler)
             if simpler_m3 < total_m3 - _GAIN_M3:
                 label, total_m3 = simpler, simpler_m3
@@ -177,20 +186,12 @@ def _with_fewer_faces(costs: Costs) -> tuple[np.ndarray, float]:
             return label, total_m3
 
 
-def _given_away(costs: Costs, label: np.ndarray, cells: np.ndarray) -> np.ndarray | None:
-    """The labels after the planes around a face have taken its cells; None if there are none."""
+def _around(costs: Costs, label: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """The planes of the cells beside some cells."""
     inside = np.zeros(len(label), bool)
     inside[cells] = True
     is_inside = inside[costs.pair]
-    border = is_inside[:, 0] != is_inside[:, 1]
-    around = np.unique(label[costs.pair[border][~is_inside[border]]])
-    around = around[around != label[cells[0]]]
-    if not len(around):
-        return None
-    own = costs.of(cells, around, label)
-    result = label.copy()
-    result[cells] = around[_expanded(own, own.cell_m3.argmin(axis=1))]
-    return result
+    return np.unique(label[costs.pair[~is_inside & is_inside[:, ::-1]]])
 
 
 def _expanded(costs: Costs, label: np.ndarray) -> np.ndarray:
@@ -246,12 +247,13 @@ def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.n
 def _taken(graph: _Graph, label: np.ndarray, number: int) -> np.ndarray:
     """bool (c,): the cells that plane ``number`` takes at least cost in all.
 
-    This is a minimum cut by shortest augmenting paths (Edmonds and Karp, 1972); those cells are taken that a path still
-    reaches in the end.
+    This is a minimum cut by blocking flows (Dinic, 1970); those cells are taken that a path still reaches in the end.
     """
     cell_m3, pair, side_m3, order, first = graph
     num_cells, num_sides = len(label), len(pair)
-    came_by, queue = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
+    # steps from the nearest start; which of its sides a cell tries next
+    level, place = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
+    queue, path = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
     # what a cell still costs if it is taken; below 0, what it saves
     need_m3 = np.empty(num_cells)
     # what remains of the capacity of a side, in both directions
@@ -267,34 +269,45 @@ def _taken(graph: _Graph, label: np.ndarray, number: int) -> np.ndarray:
         # where planes to the left and right of a side cost more than both by way of a third one, this is a bound
         rest_m3[side], rest_m3[side + num_sides] = 0.0, max(only_other + only_one - neither, 0.0)
     while True:
-        head, tail, end = 0, 0, -1
+        head, tail, meets = 0, 0, False
         for cell in range(num_cells):
-            came_by[cell] = _NOT_REACHED
+            level[cell], place[cell] = _NOT_REACHED, first[cell]
             if need_m3[cell] < -_GAIN_M3:
-                came_by[cell], queue[tail], tail = _START, cell, tail + 1
-        while head < tail and end < 0:
+                level[cell], queue[tail], tail = 0, cell, tail + 1
+        num_starts = tail
+        while head < tail:
             cell, head = queue[head], head + 1
-            for place in range(first[cell], first[cell + 1]):
-                way = order[place]
+            meets |= need_m3[cell] > _GAIN_M3
+            for way in order[first[cell] : first[cell + 1]]:
                 beside = pair[way, 1] if way < num_sides else pair[way - num_sides, 0]
-                if came_by[beside] == _NOT_REACHED and rest_m3[way] > _GAIN_M3:
-                    came_by[beside], queue[tail], tail = way, beside, tail + 1
-                    if need_m3[beside] > _GAIN_M3:
-                        end = beside
-                        break
-        if end < 0:
-            return came_by != _NOT_REACHED
-        flow_m3, cell = need_m3[end], end
-        while came_by[cell] != _START:
-            way = came_by[cell]
-            flow_m3 = min(flow_m3, rest_m3[way])
-            cell = pair[way, 0] if way < num_sides else pair[way - num_sides, 1]
-        flow_m3 = min(flow_m3, -need_m3[cell])
-        need_m3[cell] += flow_m3
-        need_m3[end] -= flow_m3
-        cell = end
-        while came_by[cell] != _START:
-            way = came_by[cell]
-            rest_m3[way] -= flow_m3
-            rest_m3[way + num_sides if way < num_sides else way - num_sides] += flow_m3
-            cell = pair[way, 0] if way < num_sides else pair[way - num_sides, 1]
+                if level[beside] == _NOT_REACHED and rest_m3[way] > _GAIN_M3:
+                    level[beside], queue[tail], tail = level[cell] + 1, beside, tail + 1
+        if not meets:
+            return level != _NOT_REACHED
+        for start in queue[:num_starts]:
+            cell, depth = start, 0
+            while need_m3[start] < -_GAIN_M3:
+                if need_m3[cell] > _GAIN_M3:
+                    flow_m3 = min(need_m3[cell], -need_m3[start])
+                    for way in path[:depth]:
+                        flow_m3 = min(flow_m3, rest_m3[way])
+                    for way in path[:depth]:
+                        rest_m3[way] -= flow_m3
+                        rest_m3[way + num_sides if way < num_sides else way - num_sides] += flow_m3
+                    need_m3[cell] -= flow_m3
+                    need_m3[start] += flow_m3
+                    cell, depth = start, 0
+                elif place[cell] < first[cell + 1]:
+                    way = order[place[cell]]
+                    beside = pair[way, 1] if way < num_sides else pair[way - num_sides, 0]
+                    if rest_m3[way] > _GAIN_M3 and level[beside] == level[cell] + 1:
+                        cell, path[depth], depth = beside, way, depth + 1
+                    else:
+                        place[cell] += 1
+                elif depth:
+                    depth -= 1
+                    way = path[depth]
+                    cell = pair[way, 0] if way < num_sides else pair[way - num_sides, 1]
+                    place[cell] += 1
+                else:
+                    break
