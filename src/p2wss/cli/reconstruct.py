@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import gc
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-from p2wss.cli import argument_checks
+from p2wss.cli import argument_checks, importing
 from p2wss.cli.common import (
     classes_option,
     clean_option,
@@ -132,14 +129,14 @@ def reconstruct(
         raise click.UsageError("FOOTPRINTS or CLOUD is missing", context)
     files.check_stem(name or "")
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
-    with _importing():
+    with importing():
         from p2wss.reconstruct.inputs import check_inputs
 
     start = time.monotonic()
     checked = check_inputs(
         clouds, footprints, config, crs, terrain, model, may_be_empty=chosen["tile"] is not None
     )
-    with _importing():
+    with importing():
         from p2wss.fetch.area import bounds_of_bbox
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
@@ -147,14 +144,3 @@ def reconstruct(
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
     with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
         write_run(out, result, start, name=name, clean=clean)
-
-
-@contextmanager
-def _importing() -> Iterator[None]:
-    """Imports within leave no garbage, and searching it would take a tenth of the start."""
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()

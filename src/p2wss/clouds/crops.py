@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
-from scipy.spatial import Delaunay
 
 from p2wss.clouds.cropping import crop_points, ring_medians
 from p2wss.clouds.reading import Cloud
@@ -21,6 +20,8 @@ _MIN_GROUND_POINTS = 5
 _LOW_PERCENTILE = 5.0
 # points of the ground further away show its slope, for which so many suffice
 _NEAR_M, _NUM_BETWEEN = 4.0, 1000
+# of the share of a corner of a triangle
+_ROUNDING = 1e-9
 # quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
 _FOOT_QUANTILE = 0.02
 # points per square metre: a building with fewer needs what the roofs so far around it show
@@ -98,19 +99,19 @@ def between(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:
     """Mean z at places (k, 2) on the triangles between points of a cloud, indices (m,); that of the point nearest to
     the first place if all are outside the triangles."""
     point = point[:: len(point) // _NUM_BETWEEN + 1]
-    off_m = np.column_stack([cloud.x_m[point], cloud.y_m[point]]) - xy_m[0]
-    if len(point) > 3:
-        # points on a line have triangles, too
-        triangles, place_m = Delaunay(off_m, qhull_options="QJ"), xy_m - xy_m[0]
-        within = triangles.find_simplex(place_m)
-        place_m, within = place_m[within >= 0], within[within >= 0]
-        if len(within):
-            # scipy's own interpolation takes longer to import than all others to be found
-            to_share = triangles.transform[within]
-            share = np.einsum("nij,nj->ni", to_share[:, :2], place_m - to_share[:, 2])
-            share = np.column_stack([share, 1.0 - share.sum(axis=1)])
-            return float((share * cloud.z_m[point[triangles.simplices[within]]]).sum(axis=1).mean())
-    return float(cloud.z_m[point[np.hypot(*off_m.T).argmin()]])
+    off_m = np.column_stack([cloud.x_m[point] - xy_m[0, 0], cloud.y_m[point] - xy_m[0, 1], cloud.z_m[point]])
+    # scipy takes longer to import than all places to be found
+    triangles = shapely.delaunay_triangles(shapely.multipoints(off_m))
+    corner_m = shapely.get_coordinates(triangles, include_z=True).reshape(-1, 4, 3)[:, :3]
+    to_share = np.linalg.inv(corner_m[:, 1:, :2] - corner_m[:, :1, :2])
+    share = np.einsum("ntj,tji->nti", (xy_m - xy_m[0])[:, None] - corner_m[:, 0, :2], to_share)
+    share = np.dstack([1.0 - share.sum(axis=2), share])
+    is_within = np.asarray((share >= -_ROUNDING).all(axis=2))
+    if is_within.any():
+        place = np.flatnonzero(is_within.any(axis=1))
+        triangle = is_within[place].argmax(axis=1)
+        return float((share[place, triangle] * corner_m[triangle, :, 2]).sum(axis=1).mean())
+    return float(off_m[np.hypot(*off_m[:, :2].T).argmin(), 2])
 
 
 def _fill_from_rings(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import shapely
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES
 from p2wss.data.points import MIN_CLASSIFIED_POINTS, points_on_building
+from p2wss.skeleton.groups import cell_neighbours, groups
+from p2wss.skeleton.nearest import nearest
 
 _CELL_M = 0.5
 # Returns from walls: in a cell of the plan of this size at most this share of the points is within about this height of
@@ -90,8 +90,8 @@ def shaft_points(
     low_m = point_m[inside & ~np.isin(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
     if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
         return np.zeros((0, 3))
-    nearest = cKDTree(roof_m[:, :2]).query(low_m[:, :2], _NUM_BESIDE)[1]
-    low_m = low_m[low_m[:, 2] < roof_m[nearest, 2].min(axis=1) - _BELOW_ROOF_M]
+    _, beside = nearest(roof_m[:, :2], low_m[:, :2], _NUM_BESIDE)
+    low_m = low_m[low_m[:, 2] < roof_m[beside, 2].min(axis=1) - _BELOW_ROOF_M]
     if len(low_m) < _MIN_LOW_POINTS:
         return np.zeros((0, 3))
     gap_m = max(float((polygon.area / len(roof_m)) ** 0.5), _CELL_M / 4)
@@ -102,30 +102,38 @@ def shaft_points(
     # a disc without points on the roof, of which each place is part
     radius_m = max(_SHAFT_RADIUS_M, _NUM_GAPS * gap_m)
     inside = shapely.contains_xy(polygon, *place_m.T)
-    # about the distance from the next point, which is exactly that for few places only
-    is_bare = np.ones(x.shape, bool)
-    nearest_place = np.rint((roof_m[:, :2] - start_m) / step_m).astype(int)
-    is_bare[tuple(np.minimum(nearest_place, np.array(x.shape) - 1).T)] = False
-    far_steps = ndimage.distance_transform_edt(is_bare).ravel()
-    may_be = np.flatnonzero(inside & (far_steps > radius_m / step_m - 1))
-    is_middle = np.zeros(len(place_m), bool)
-    is_middle[may_be] = cKDTree(roof_m[:, :2]).query(place_m[may_be])[0] > radius_m
-    if not is_middle.any():
+
+    def nearest_place(xy_m: np.ndarray) -> tuple[np.ndarray, ...]:
+        return tuple(np.minimum(np.rint((xy_m - start_m) / step_m).astype(int), np.array(x.shape) - 1).T)
+
+    # the distance from the next point is needed only where squares that are within reach of a point leave a gap
+    is_near = np.zeros(x.shape, bool)
+    is_near[nearest_place(roof_m[:, :2])] = True
+    square = np.arange(-(reach := int((radius_m / step_m - np.sqrt(0.5)) / np.sqrt(2))), reach + 1)
+    column, row = np.nonzero(is_near)
+    columns, rows = (
+        np.add.outer(each, square).clip(0, size - 1)
+        for each, size in ((column, x.shape[0]), (row, x.shape[1]))
+    )
+    is_near[columns[:, :, None], rows[:, None]] = True
+    may_be = np.flatnonzero(inside & ~is_near.ravel())
+    middle_m = place_m[may_be[nearest(roof_m[:, :2], place_m[may_be])[0][:, 0] > radius_m]]
+    if not len(middle_m):
         return np.zeros((0, 3))
-    far_m, _ = cKDTree(place_m[is_middle]).query(place_m)
-    is_open = inside & (far_m < radius_m)
-    area = ndimage.label(is_open.reshape(x.shape))[0].ravel()
-    far_m, nearest = cKDTree(low_m[:, :2]).query(place_m)
-    _, place = cKDTree(place_m).query(low_m[:, :2])
+    inside[inside] = nearest(middle_m, place_m[inside])[0][:, 0] < radius_m
+    first, second = cell_neighbours(x)
+    linked = inside[first] & inside[second]
+    area = groups(x.size, np.column_stack([first[linked], second[linked]]))
+    area_of_low = area.reshape(x.shape)[nearest_place(low_m[:, :2])]
     floors = [np.zeros((0, 3))]
-    for number in range(1, area.max() + 1):
-        places = area == number
-        num_near, low_z = (places & (far_m < radius_m)).sum(), low_m[area[place] == number, 2]
-        if places.sum() * step_m**2 < _MIN_SHAFT_M2 or len(low_z) < _MIN_LOW_POINTS:
+    for number in np.flatnonzero(np.bincount(area, inside) * step_m**2 >= _MIN_SHAFT_M2):
+        floor_m, low_z = place_m[area == number], low_m[area_of_low == number, 2]
+        if len(low_z) < _MIN_LOW_POINTS:
             continue
-        if num_near >= _LOW_SHARE * places.sum():
+        num_near = (nearest(low_m[:, :2], floor_m)[0] < radius_m).sum()
+        if num_near >= _LOW_SHARE * len(floor_m):
             floor_z = np.quantile(low_z, _FLOOR_QUANTILE)
-            floors.append(np.column_stack([place_m[places], np.full(places.sum(), floor_z)]))
+            floors.append(np.column_stack([floor_m, np.full(len(floor_m), floor_z)]))
     return np.concatenate(floors)
 
 

@@ -127,7 +127,9 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     result = np.full(len(ring), np.nan)
     if min(len(building_m), len(ground_m)) < RULES.min_points:
         return result
-    for i, (start, end) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True)):
+    after = np.roll(ring, -1, axis=0)
+    for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) >= RULES.min_edge_m).tolist():
+        start, end = ring[i], after[i]
         ground_depth_m = _beside(start, end, ground_m)[1]
         # without ground, as along party walls, there is nothing to find
         if ((ground_depth_m >= -RULES.beyond_m) & (ground_depth_m < _FAR_M)).sum() < RULES.min_points:

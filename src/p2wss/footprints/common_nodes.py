@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from p2wss.skeleton.types import Polygons, next_in_ring
 
@@ -72,10 +71,11 @@ def _merge_vertices(
     xy_m: np.ndarray, node: np.ndarray, polygon: np.ndarray, snap_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nodes of different polygons that are close become one, all within ``snap_m`` of each other."""
-    pairs = cKDTree(xy_m).query_pairs(snap_m * 1.001, output_type="ndarray")
-    if not len(pairs):
+    point = np.asarray(shapely.points(xy_m), object)
+    pairs = shapely.STRtree(point).query(point, predicate="dwithin", distance=snap_m * 1.001)
+    first, second = pairs = pairs[:, pairs[0] < pairs[1]]
+    if not len(first):
         return xy_m, node
-    first, second = pairs.min(axis=1), pairs.max(axis=1)
     distance = np.hypot(*(xy_m[first] - xy_m[second]).T)
     near = distance <= snap_m
     first, second, distance = first[near], second[near], distance[near]

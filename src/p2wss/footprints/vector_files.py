@@ -12,7 +12,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pyogrio
 import pyproj
 import shapely
@@ -41,6 +40,8 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
     integrity.verify(path)
     with reading(path, _KIND):
         if str(path).endswith(".parquet"):
+            import pyarrow.parquet as pq
+
             pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance
             frame = gpd.read_parquet(path).reset_index(drop=True)
             if bounds is not None:
@@ -68,6 +69,8 @@ def layer_info(path: Path) -> dict[str, Any]:
 
 def _geoparquet_info(path: Path) -> dict[str, Any]:
     """The same of a GeoParquet file (specification 1.1)."""
+    import pyarrow.parquet as pq
+
     with reading(path, _KIND):
         stored = pq.read_metadata(path)
         geo = json.loads((stored.metadata or {}).get(b"geo", b"{}"))

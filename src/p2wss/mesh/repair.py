@@ -33,7 +33,8 @@ def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarra
 
 
 def _without_repeats(ring: np.ndarray) -> np.ndarray:
-    return ring[ring != np.roll(ring, 1)]
+    # numpy's ``roll`` takes five times as long for a few vertices
+    return ring[ring != ring[np.arange(-1, len(ring) - 1)]]
 
 
 def surfaces_to_write(mesh: Mesh) -> tuple[list[Surface], list[Breach]]:

@@ -11,6 +11,7 @@ import shapely
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
 # planes with less slope are flat
@@ -65,7 +66,7 @@ def measure(mesh: Mesh) -> MeshMeasures:
         roof_type = FLATS if num_level > 1 else FLAT
     base_z = float(mesh.vertex_m[:, 2].min())
     z = np.sort(corner[is_roof, :, 2], axis=1)
-    p50, p70 = _height_quantiles(z, np.abs(mesh.doubled_m2[is_roof, 2]), np.array([0.5, 0.7]))
+    p50, p70 = (_height_quantile(z, np.abs(mesh.doubled_m2[is_roof, 2]), share) for share in (0.5, 0.7))
     return MeshMeasures(
         roof_type,
         base_z + float(z.min()),
@@ -82,25 +83,26 @@ def measure(mesh: Mesh) -> MeshMeasures:
     )
 
 
-def _height_quantiles(z: np.ndarray, weight: np.ndarray, share: np.ndarray) -> tuple[float, ...]:
-    """Heights below which shares of triangles lie. z: heights of their corners, ascending, (t, 3). weight: (t,), areas
-    in plan."""
-    low, middle, high = z.T[:, :, None]
-    low_end = np.full(len(share), z.min())
-    high_end = np.full(len(share), z.max())
-    target = share * weight.sum()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rises, falls = (middle - low) * (high - low), (high - low) * (high - middle)
-        for _ in range(_BISECTIONS):
-            at = (low_end + high_end) / 2
-            rising = (at - low) ** 2 / rises
-            falling = 1 - (high - at) ** 2 / falls
-            below = np.where(
-                at >= high, 1.0, np.where(at <= low, 0.0, np.where(at <= middle, rising, falling))
-            )
-            is_below = weight @ below < target
-            low_end, high_end = np.where(is_below, at, low_end), np.where(is_below, high_end, at)
-    return tuple(high_end.tolist())
+@entry
+def _height_quantile(z: np.ndarray, weight: np.ndarray, share: float) -> float:
+    """The height below which a share of triangles lies. z: heights of their corners, ascending, (t, 3). weight: (t,),
+    areas in plan."""
+    low_end, high_end, target = z.min(), z.max(), share * weight.sum()
+    for _ in range(_BISECTIONS):
+        at, below = (low_end + high_end) / 2, 0.0
+        for t in range(len(z)):
+            low, middle, high = z[t]
+            if at >= high:
+                below += weight[t]
+            elif at > middle:
+                below += weight[t] * (1 - (high - at) ** 2 / ((high - low) * (high - middle)))
+            elif at > low:
+                below += weight[t] * (at - low) ** 2 / ((middle - low) * (high - low))
+        if below < target:
+            low_end = at
+        else:
+            high_end = at
+    return float(high_end)
 
 
 def _ridge_z(mesh: Mesh, is_sloped: np.ndarray) -> float | None:

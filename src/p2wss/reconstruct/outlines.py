@@ -14,9 +14,9 @@ import geopandas as gpd
 import numpy as np
 import pyproj
 import rasterio.features
+import scipy
 import shapely
 from rasterio.transform import Affine
-from scipy import ndimage
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
@@ -33,7 +33,6 @@ _POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20
 _SQUARE = np.ones((3, 3), bool)
 # the trace of a block is that of a smoothed raster with smaller cells
 _FINER, _SMOOTH_CELLS = 3, 0.8
-_CROSS = ndimage.generate_binary_structure(2, 1)
 # large buildings are split at smaller and smaller jumps, down to this
 _LEAST_JUMP_M = 0.4
 # around the trace of a block
@@ -110,9 +109,9 @@ def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
         for value in (BUILDING_CLASS, GROUND_CLASS)
     ]
     is_roof = (counts[0] > 0) & (counts[0] >= counts[1])
-    is_roof |= ndimage.binary_closing(is_roof, _SQUARE) & (counts[1] == 0)
-    is_roof = ndimage.binary_opening(is_roof, _SQUARE)
-    block = _large(ndimage.label(is_roof, _CROSS)[0], settings.min_area_m2 / cell_m**2)
+    is_roof |= scipy.ndimage.binary_closing(is_roof, _SQUARE) & (counts[1] == 0)
+    is_roof = scipy.ndimage.binary_opening(is_roof, _SQUARE)
+    block = _large(scipy.ndimage.label(is_roof)[0], settings.min_area_m2 / cell_m**2)
     height_m = _heights(cell[is_building], cloud.z_m[is_building], shape)
     building = _split(block, height_m, settings, cell_m)
     return Raster(building, block, (first[0] * cell_m, first[1] * cell_m), float(cell_m), density)
@@ -139,7 +138,9 @@ def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.nd
     result = np.full(shape[0] * shape[1], np.nan)
     result[cells] = z_m[order][start + count // 2]
     result = result.reshape(shape)
-    nearest = ndimage.distance_transform_edt(np.isnan(result), return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(
+        np.isnan(result), return_distances=False, return_indices=True
+    )
     return result[tuple(nearest)]
 
 
@@ -206,7 +207,7 @@ def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
     first, so that the steps of the raster in edges across it are small."""
     result = []
     fine_m = raster.cell_m / _FINER
-    for number, window in enumerate(ndimage.find_objects(raster.block), start=1):
+    for number, window in enumerate(scipy.ndimage.find_objects(raster.block), start=1):
         rows, columns = (slice(part.start - 2, part.stop + 2) for part in window)
         is_block = raster.block[rows, columns] == number
         label = np.where(is_block, raster.building[rows, columns], 0)
@@ -214,8 +215,8 @@ def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
             raster.origin_m[0] + columns.start * raster.cell_m,
             raster.origin_m[1] + rows.start * raster.cell_m,
         )
-        smooth = ndimage.gaussian_filter(is_block.astype(float), _SMOOTH_CELLS)
-        fine = ndimage.zoom(smooth, _FINER, order=1, mode="grid-constant", grid_mode=True) >= 0.5
+        smooth = scipy.ndimage.gaussian_filter(is_block.astype(float), _SMOOTH_CELLS)
+        fine = scipy.ndimage.zoom(smooth, _FINER, order=1, mode="grid-constant", grid_mode=True) >= 0.5
         traces = _traces(
             fine.astype(np.int32), Raster(label, label, origin_m, fine_m, 0.0), settings.min_hole_m2
         )

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
@@ -22,6 +21,7 @@ from p2wss.data.points import MIN_HEIGHT_M, points_on_building
 from p2wss.fit.planes.detection import detect, height_over, heights
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
+from p2wss.skeleton.nearest import nearest
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ def _with_roofs_as_ground(inside: np.ndarray, point_m: np.ndarray, classificatio
         return classification
     beside = ~inside & is_ground
     if beside.any():
-        nearest = cKDTree(point_m[beside, :2]).query(point_m[roof, :2])[1]
-        roof[roof] = point_m[roof, 2] > point_m[beside, 2][nearest] + MIN_HEIGHT_M
+        _, ground = nearest(point_m[beside, :2], point_m[roof, :2])
+        roof[roof] = point_m[roof, 2] > point_m[beside, 2][ground[:, 0]] + MIN_HEIGHT_M
     return np.where(roof, np.uint8(BUILDING_CLASS), classification)
 
 
@@ -109,9 +109,8 @@ def _theirs(
     deep, band_m = np.flatnonzero(~beyond & ~near), point_m[band]
     if not len(deep) or not near.any():
         return result
-    count = min(RULES.num_near, len(deep))
-    _, nearest = cKDTree(band_m[deep, :2]).query(band_m[:, :2], count)
-    beside_m = band_m[deep[nearest.reshape(len(band), count)]]
+    _, beside = nearest(band_m[deep, :2], band_m[:, :2], min(RULES.num_near, len(deep)))
+    beside_m = band_m[deep[beside]]
     step_m = np.abs(band_m[:, 2] - np.median(beside_m[:, :, 2], axis=1))
     if (step_m[near] > RULES.step_m).sum() < RULES.num_points:
         return result
@@ -119,7 +118,7 @@ def _theirs(
     chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
     density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
     found = detect(band_m[chosen], density, (), _DETECTION)
-    label = found.label[cKDTree(band_m[chosen]).query(band_m)[1]]
+    label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]]
     is_theirs, is_loose = np.zeros(len(band), bool), label < 0
     for number in range(len(found.plane)):
         on = label == number
@@ -130,12 +129,13 @@ def _theirs(
             continue
         other_m = beside_m[on].reshape(-1, 3)
         off_m = heights(found.plane[number : number + 1], other_m[:, :2])[:, 0] - other_m[:, 2]
-        if np.quantile(np.abs(off_m), RULES.step_quantile) > RULES.step_m:
+        if (np.abs(off_m) > RULES.step_m).mean() > 1 - RULES.step_quantile:
             is_theirs |= on
     if not is_theirs.any():
         return result
-    far_m, nearest = cKDTree(band_m[is_theirs, :2]).query(band_m[:, :2])
-    top_m = height_over(found.plane, label[is_theirs][nearest], band_m[:, :2]) + RULES.on_m
-    is_below = (far_m < RULES.strip_m) & (band_m[:, 2] < top_m)
-    result[band] = near & (is_theirs | is_loose & is_below)
+    result[band] = near & is_theirs
+    loose = np.flatnonzero(near & is_loose)
+    far_m, beside = (each[:, 0] for each in nearest(band_m[is_theirs, :2], band_m[loose, :2]))
+    top_m = height_over(found.plane, label[is_theirs][beside], band_m[loose, :2]) + RULES.on_m
+    result[band[loose]] = (far_m < RULES.strip_m) & (band_m[loose, 2] < top_m)
     return result

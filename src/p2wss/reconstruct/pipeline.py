@@ -11,7 +11,6 @@ from typing import Any, Protocol
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
 from p2wss.clouds.crops import crop_cloud, roofs_around
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
@@ -31,6 +30,7 @@ from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
 from p2wss.reconstruct.spool import Lazy
+from p2wss.skeleton.nearest import nearest
 from p2wss.storage.log_lines import log
 
 # columns that reading and cleaning add to the input's own
@@ -160,13 +160,11 @@ class Rows:
         """Reconstruct the buildings whose ground is the median of the nearest ones with points, save triangles, and
         measure party walls. num_counted: of the rows, those whose triangles are limited; None for all."""
         known = np.flatnonzero(np.isfinite(self._ground_z_m))
-        tree = cKDTree(self._origin_xy_m[known]) if len(known) else None
-        for k, row in enumerate(self._pending):
-            if tree is not None:
-                nearest = tree.query(
-                    row.building.origin_xy_m, np.arange(1, min(_NUM_NEIGHBOURS, len(known)) + 1)
-                )[1]
-                ground_z_m = float(np.median(self._ground_z_m[known][nearest]))
+        if len(known) and self._pending:
+            place_m = np.array([row.building.origin_xy_m for row in self._pending])
+            _, beside = nearest(self._origin_xy_m[known], place_m, min(_NUM_NEIGHBOURS, len(known)))
+            for k, ground_z_m in enumerate(np.median(self._ground_z_m[known][beside], axis=1).tolist()):
+                row = self._pending[k]
                 self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
         for first in range(0, len(self._pending), self._batch):
             self._store(self._pending[first : first + self._batch])

@@ -8,9 +8,9 @@ this holds best (:func:`search_shift`); around it, each free edge has a step alo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
-import scipy
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
@@ -142,9 +142,10 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     index = cell[keep, 1] * columns + cell[keep, 0]
     weights = np.bincount(index, weight[keep], rows * columns).reshape(rows, columns)
     inside = _rasterised((edge - np.tile(low, 2)) / cell_m, rows, columns)
-    shape = [scipy.fft.next_fast_len(rows + reach, True), scipy.fft.next_fast_len(columns + reach, True)]
-    spectrum = scipy.fft.rfft2(weights, shape) * np.conj(scipy.fft.rfft2(inside, shape))
-    total = scipy.fft.irfft2(spectrum, shape)
+    # transforms are fast where the length has no prime factors but 2, 3 and 5
+    shape = [next(n for n in count(each + reach) if pow(30, 20, n) == 0) for each in (rows, columns)]
+    spectrum = np.fft.rfft2(weights, shape) * np.conj(np.fft.rfft2(inside, shape))
+    total = np.fft.irfft2(spectrum, shape)
     steps = np.arange(-reach, reach + 1)
     # the weights are halves; the transform is not exact
     total = np.round(2 * total[np.ix_(steps, steps)]) / 2

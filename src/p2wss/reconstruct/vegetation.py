@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import shapely
-from scipy import ndimage
 
 from p2wss.clouds.reading import Cloud
 from p2wss.data.las_classes import PLANT_CLASSES
@@ -140,17 +140,17 @@ def _basins(row: np.ndarray, column: np.ndarray, height_m: np.ndarray, shape: tu
     """The number of the crown of each cell, from 1, int (rows, columns); -1 without one."""
     canopy_m = np.zeros(shape)
     np.maximum.at(canopy_m, (row, column), height_m)
-    canopy_m = ndimage.grey_closing(canopy_m, 3)
-    smooth_m = ndimage.gaussian_filter(canopy_m, RULES.smoothing_m / RULES.cell_m)
+    canopy_m = scipy.ndimage.grey_closing(canopy_m, 3)
+    smooth_m = scipy.ndimage.gaussian_filter(canopy_m, RULES.smoothing_m / RULES.cell_m)
     reach = round(RULES.spacing_m / RULES.cell_m)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    highest_m = ndimage.maximum_filter(smooth_m, footprint=np.hypot(x, y) <= reach)
+    highest_m = scipy.ndimage.maximum_filter(smooth_m, footprint=np.hypot(x, y) <= reach)
     is_canopy = canopy_m >= RULES.min_height_m
-    top, _ = ndimage.label((smooth_m == highest_m) & is_canopy, np.ones((3, 3)))
+    top, _ = scipy.ndimage.label((smooth_m == highest_m) & is_canopy, np.ones((3, 3)))
     depth_cm = np.clip(65535 - 100 * smooth_m, 0, 65535).astype(np.uint16)
-    label = ndimage.watershed_ift(depth_cm, np.where(is_canopy, top, -1).astype(np.int32))
+    label = scipy.ndimage.watershed_ift(depth_cm, np.where(is_canopy, top, -1).astype(np.int32))
     # what is no canopy floods the rim of the crowns, too
-    return np.where(is_canopy & (label < 1), ndimage.grey_dilation(label, 5), label)
+    return np.where(is_canopy & (label < 1), scipy.ndimage.grey_dilation(label, 5), label)
 
 
 def _volume(xy_m: np.ndarray, low_z_m: float, high_z_m: float) -> Mesh:

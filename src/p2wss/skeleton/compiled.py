@@ -29,7 +29,11 @@ from numba.core.compiler import Compiler
 from numba.core.errors import TypingError
 from numba.core.typing import signature
 from numba.extending import intrinsic
+from numba.np import linalg
 from numba.np.arrayobj import populate_array
+
+# before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
+linalg.ensure_blas = lambda: None
 
 # a literal number, or a variable that starts as one, makes numba compile the functions it is passed to once more, for
 # that constant

@@ -15,12 +15,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
@@ -28,6 +27,9 @@ from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 # GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
 os.environ.setdefault("OGR_CURRENT_DATE", "1970-01-01T00:00:00.000Z")
@@ -114,6 +116,8 @@ class TableWriter:
 @contextmanager
 def table_writer(path: str | Path, schema: pa.Schema) -> Iterator[TableWriter]:
     """Write Parquet (zstd) piece by piece: only one piece is in memory. The file appears at the end of the block."""
+    import pyarrow.parquet as pq  # as large as a cloud, and needed for few files
+
     with (
         atomic(path) as temporary,
         pq.ParquetWriter(
@@ -193,6 +197,8 @@ def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
 
 @contextmanager
 def _readable(path: str | Path) -> Iterator[pq.ParquetFile]:
+    import pyarrow.parquet as pq
+
     integrity.verify(path)
     with (
         reading(path, "a readable Parquet file"),
@@ -208,6 +214,8 @@ def write_geoparquet(
 
     schema: the types of its columns, which an empty frame does not show.
     """
+    import pyarrow.parquet as pq
+
     buffer = BytesIO()
     frame.to_parquet(buffer)
     table = pq.read_table(buffer)

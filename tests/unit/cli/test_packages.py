@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import tomllib
@@ -11,6 +12,7 @@ import pytest
 from places import ROOT
 
 from p2wss import cli
+from p2wss.cli import importing
 from p2wss.config.generate import default_yaml, json_schema
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -67,3 +69,11 @@ def test_a_project_of_the_workflow_is_begun_once(
         assert (project / name).read_bytes() == (ROOT / name).read_bytes()
     assert cli.main(["workflow", "init", str(project)]) == 2
     assert "Snakefile: exists" in capsys.readouterr().err
+
+
+def test_imports_of_a_command_are_not_searched_for_garbage() -> None:
+    before = gc.get_freeze_count()
+    with importing():
+        assert not gc.isenabled()
+    assert gc.isenabled() and gc.get_freeze_count() > before
+    gc.unfreeze()

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import manifold3d
 import numpy as np
+import scipy
 import shapely
-from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
 from p2wss.fit.mesh.short_edges import CAP_M
@@ -90,7 +90,7 @@ def _clusters(point_m: np.ndarray, above_m: np.ndarray, chimneys: Chimneys) -> l
     if len(high) < chimneys.min_points:
         return []
     scaled = point_m[high] / (_APART_M, _APART_M, _STEP_M)
-    first, second = cKDTree(scaled).query_pairs(2**0.5, output_type="ndarray").T
+    first, second = scipy.spatial.cKDTree(scaled).query_pairs(2**0.5, output_type="ndarray").T
     plan, step = (scaled[first] - scaled[second])[:, :2], scaled[first, 2] - scaled[second, 2]
     near = ((plan**2).sum(axis=1) <= 1.0) & (np.abs(step) <= 1.0)
     label = groups(len(high), np.column_stack([first[near], second[near]]))

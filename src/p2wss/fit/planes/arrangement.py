@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.lines import Line, as_arrays, edges_of
+from p2wss.fit.planes.lines import Line, as_arrays, edges_of, ends_of
 from p2wss.mesh.topology import reverses
 
 # metres: coordinates of the arrangement are multiples of this
@@ -60,11 +60,7 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     shapely.prepare(polygon)
     low, high = np.array(polygon.bounds).reshape(2, 2)
     far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
-    segments = [
-        replace(line, low_m=max(line.low_m, -far_m), high_m=min(line.high_m, far_m)) for line in lines
-    ]
-    segment_m = np.array([segment.ends_m for segment in segments]).reshape(-1, 2, 2)
-    drawn = np.asarray(shapely.linestrings(segment_m), object)
+    drawn = np.asarray(shapely.linestrings(ends_of(lines, far_m)), object)
     network = shapely.union_all([polygon.boundary, *drawn], grid_size=GRID_M)
     cells = shapely.get_parts(shapely.polygonize(shapely.get_parts(network)))
     middle = shapely.point_on_surface(cells)

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.nearest import nearest
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         settings.min_sparse_points if is_sparse else settings.min_points, int(settings.min_area_m2 * density)
     )
     point_m = np.ascontiguousarray(point_m, float)
-    _, neighbour = cKDTree(point_m).query(point_m, count)
-    neighbour = neighbour.reshape(len(point_m), count)
+    _, neighbour = nearest(point_m, point_m, count)
     if is_sparse:
         bearing = np.concatenate([along, np.add(along, np.pi / 2)])
         axis = np.column_stack([np.cos(bearing), np.sin(bearing)])

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.groups import groups
+from p2wss.skeleton.nearest import nearest
 
 _MAX_ROUNDS = 4
 # metres above the ground: no roof is lower, at a price beyond all others
@@ -64,35 +64,12 @@ class Costs:
         """int (c,): numbers of the faces that no step divides."""
         return groups(len(label), self.pair[~self.is_step_at(label)])
 
-    def without(self, line: int) -> Costs:
-        """The costs if there is no step along a line."""
-        side_m3 = self.side_m3.copy()
-        on_line = self.line == line
-        side_m3[on_line] += _FORBIDDEN_M3 * self.is_step[on_line]
-        return replace(self, side_m3=side_m3)
-
-    def of(self, cells: np.ndarray, planes: np.ndarray, label: np.ndarray) -> Costs:
-        """The costs of some cells and planes, while all other cells keep their labels."""
-        number = np.full(len(label), -1)
-        number[cells] = np.arange(len(cells))
-        cell_m3 = self.cell_m3[np.ix_(cells, planes)].copy()
-        inside = number[self.pair] >= 0
-        for side in (0, 1):
-            rows = np.flatnonzero(inside[:, side] & ~inside[:, 1 - side])
-            fixed = label[self.pair[rows, 1 - side]]
-            own = self.side_m3[rows[:, None], planes[None], fixed[:, None]]
-            np.add.at(cell_m3, number[self.pair[rows, side]], own)
-        rows = np.flatnonzero(inside.all(axis=1))
-        within = np.ix_(rows, planes, planes)
-        return Costs(
-            cell_m3,
-            number[self.pair[rows]],
-            self.side_m3[within],
-            self.is_step[within],
-            self.line[rows],
-            self.length_m[rows],
-            self.prices,
-        )
+    def graph(self) -> _Graph:
+        """For compiled code."""
+        end = np.concatenate([self.pair[:, 0], self.pair[:, 1]])
+        order = np.argsort(end, kind="stable")
+        first = np.searchsorted(end[order], np.arange(len(self.cell_m3) + 1))
+        return _Graph(self.cell_m3, self.pair, self.side_m3, order, first)
 
 
 def costs_of(
@@ -108,19 +85,19 @@ def costs_of(
     its cell, -1 for none. density: points per square metre, each of which stands for an area."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    cell_m3 = np.zeros((len(cells.area_m2), num_planes))
-    np.add.at(cell_m3, of_cell[of_cell >= 0], off_m[of_cell >= 0] / density)
+    place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
+    num_places = len(cells.area_m2) * num_planes
+    off_m3 = np.bincount(place, off_m[of_cell >= 0].ravel() / density, num_places)
+    cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
-    steep = np.hypot(plane[:, 0], plane[:, 1])
-    for number in range(num_planes):
-        beyond_m, _ = cKDTree(point_m[label == number, :2]).query(cells.middle_m)
-        expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
-        # between the last point and the end of a roof
-        gap_m = steep[number] / (2 * density**0.5)
-        above_m = high_z[:, number] - point_m[:, 2].max() - gap_m - prices.support_m
-        below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z[:, number]
-        unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)
-        cell_m3[:, number] += cells.area_m2 * (expected_m + unsupported_m)
+    beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
+    expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
+    # between the last point and the end of a roof
+    gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * density**0.5)
+    above_m = high_z - point_m[:, 2].max() - gap_m - prices.support_m
+    below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z
+    unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)
+    cell_m3 += cells.area_m2[:, None] * (expected_m + unsupported_m)
     cell_m3[low_z < _LOWEST_M] += _FORBIDDEN_M3
     is_shared = (cells.pair >= 0).all(axis=1)
     pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
@@ -139,7 +116,13 @@ def costs_of(
 
 def least_cost(costs: Costs) -> np.ndarray:
     """int (c,): the plane over each cell."""
-    label, total_m3 = _with_fewer_faces(costs)
+    num_cells, num_planes = costs.cell_m3.shape
+    # of lines that are dispensed with, steps are forbidden
+    costs = replace(costs, side_m3=costs.side_m3.copy())
+    graph, label = costs.graph(), np.zeros(num_cells, np.int64)
+    label, total_m3 = _with_fewer_faces(
+        costs, graph, label, np.ones(num_cells, bool), np.ones(num_planes, bool)
+    )
     tried: set[int] = set()
     while True:
         steps_m = costs.steps_m(label)
@@ -149,57 +132,43 @@ def least_cost(costs: Costs) -> np.ndarray:
             return label
         line = int(np.where(is_short, steps_m, np.inf).argmin())
         tried.add(line)
+        on_line = np.flatnonzero(costs.line == line)
         face = costs.faces(label)
-        beside = face[costs.pair[(costs.line == line) & costs.is_step_at(label)]]
-        cells = np.flatnonzero(np.isin(face, beside))
-        planes = np.unique(np.append(label[cells], _around(costs, label, cells)))
-        own, other = costs.of(cells, planes, label).without(line), label.copy()
-        other[cells] = planes[_with_fewer_faces(own)[0]]
-        other_m3 = costs.total_m3(other)
+        is_inside = np.isin(face, face[costs.pair[on_line[costs.is_step_at(label)[on_line]]]])
+        is_used = np.bincount(label[is_inside], minlength=num_planes) > 0
+        before_m3 = costs.side_m3[on_line]
+        costs.side_m3[on_line] += _FORBIDDEN_M3 * costs.is_step[on_line]
+        other, other_m3 = _with_fewer_faces(costs, graph, label, is_inside, is_used)
         if other_m3 < total_m3 - _GAIN_M3:
-            label, total_m3, costs = other, other_m3, costs.without(line)
+            label, total_m3 = other, other_m3
+        else:
+            costs.side_m3[on_line] = before_m3
 
 
-def _with_fewer_faces(costs: Costs) -> tuple[np.ndarray, float]:
-    """The labels (c,) of least cost from which faces have given way to those around them, and what they cost."""
-    label = _expanded(costs, costs.cell_m3.argmin(axis=1))
+def _with_fewer_faces(
+    costs: Costs, graph: _Graph, label: np.ndarray, is_inside: np.ndarray, is_used: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The labels (c,) after some cells, bool (c,), have got the planes of least cost, of those that are used, bool
+    (k,), and of those around, and faces of such cells have given way to those around them; and what they cost."""
+    label = _relabelled(graph, label, is_inside, is_used)
     total_m3, tried = costs.total_m3(label), set()
     while True:
         face = costs.faces(label)
-        for number in np.argsort(np.bincount(face), kind="stable"):
-            cells = np.flatnonzero(face == number)
-            key = (label[cells[0]], *cells.tolist())
-            if key in tried:
+        size = np.bincount(face)
+        is_whole = size == np.bincount(face, is_inside)
+        for number in np.argsort(size, kind="stable"):
+            is_face = face == number
+            key = (label[is_face.argmax()], is_face.tobytes())
+            if key in tried or not is_whole[number]:
                 continue
             tried.add(key)
-            around = _around(costs, label, cells)
-            around = around[around != label[cells[0]]]
-            if not len(around):
-                continue
-            own, simpler = costs.of(cells, around, label), label.copy()
-            simpler[cells] = around[_expanded(own, own.cell_m3.argmin(axis=1))]
+            simpler = _relabelled(graph, label, is_face, np.zeros_like(is_used))
             simpler_m3 = costs.total_m3(simpler)
             if simpler_m3 < total_m3 - _GAIN_M3:
                 label, total_m3 = simpler, simpler_m3
                 break
         else:
             return label, total_m3
-
-
-def _around(costs: Costs, label: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """The planes of the cells beside some cells."""
-    inside = np.zeros(len(label), bool)
-    inside[cells] = True
-    is_inside = inside[costs.pair]
-    return np.unique(label[costs.pair[~is_inside & is_inside[:, ::-1]]])
-
-
-def _expanded(costs: Costs, label: np.ndarray) -> np.ndarray:
-    """The labels after planes have taken cells as long as that saves something, without the prices of faces."""
-    end = np.concatenate([costs.pair[:, 0], costs.pair[:, 1]])
-    order = np.argsort(end, kind="stable")
-    first = np.searchsorted(end[order], np.arange(len(label) + 1))
-    return np.asarray(_expand(_Graph(costs.cell_m3, costs.pair, costs.side_m3, order, first), label))
 
 
 class _Graph(NamedTuple):
@@ -214,15 +183,37 @@ class _Graph(NamedTuple):
 
 
 @entry
-def _expand(graph: _Graph, label: np.ndarray) -> np.ndarray:
-    """The labels (c,) after planes have taken cells in turn."""
+def _relabelled(graph: _Graph, label: np.ndarray, is_inside: np.ndarray, is_used: np.ndarray) -> np.ndarray:
+    """The labels (c,) after some cells, bool (c,), have got planes that are used, bool (k,), or around them."""
+    cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
+    least_m3, is_around, result = cell_m3.copy(), is_used.copy(), label.copy()
+    for side in range(len(pair)):
+        one, other = pair[side, 0], pair[side, 1]
+        if is_inside[one] and not is_inside[other]:
+            least_m3[one] += side_m3[side, :, label[other]]
+            is_around[label[other]] = True
+        elif is_inside[other] and not is_inside[one]:
+            least_m3[other] += side_m3[side, label[one]]
+            is_around[label[one]] = True
+    for cell in np.flatnonzero(is_inside):
+        best_m3 = np.inf
+        for number in np.flatnonzero(is_around):
+            if least_m3[cell, number] < best_m3:
+                best_m3, result[cell] = least_m3[cell, number], number
+    return _expanded(graph, result, is_inside, is_around)
+
+
+@entry
+def _expanded(graph: _Graph, label: np.ndarray, is_free: np.ndarray, is_used: np.ndarray) -> np.ndarray:
+    """The labels (c,) after planes, those of bool (k,), have taken cells in turn, those of bool (c,), as long as that
+    saves something, without the prices of faces."""
     cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
     label, candidate = label.copy(), label.copy()
     total_m3 = _sum(cell_m3, pair, side_m3, label)
     for _ in range(_MAX_ROUNDS):
         before_m3 = total_m3
-        for number in range(cell_m3.shape[1]):
-            is_taken = _taken(graph, label, number)
+        for number in np.flatnonzero(is_used):
+            is_taken = _taken(graph, label, is_free, number)
             candidate[:] = np.where(is_taken, number, label)
             candidate_m3 = _sum(cell_m3, pair, side_m3, candidate)
             if candidate_m3 < total_m3 - _GAIN_M3:
@@ -244,8 +235,8 @@ def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.n
 
 
 @allocating
-def _taken(graph: _Graph, label: np.ndarray, number: int) -> np.ndarray:
-    """bool (c,): the cells that plane ``number`` takes at least cost in all.
+def _taken(graph: _Graph, label: np.ndarray, is_free: np.ndarray, number: int) -> np.ndarray:
+    """bool (c,): the cells, of those that are free, that plane ``number`` takes at least cost in all.
 
     This is a minimum cut by blocking flows (Dinic, 1970); those cells are taken that a path still reaches in the end.
     """
@@ -257,17 +248,21 @@ def _taken(graph: _Graph, label: np.ndarray, number: int) -> np.ndarray:
     # what a cell still costs if it is taken; below 0, what it saves
     need_m3 = np.empty(num_cells)
     # what remains of the capacity of a side, in both directions
-    rest_m3 = np.empty(2 * num_sides)
+    rest_m3 = np.zeros(2 * num_sides)
     for cell in range(num_cells):
-        need_m3[cell] = cell_m3[cell, number] - cell_m3[cell, label[cell]]
+        need_m3[cell] = cell_m3[cell, number] - cell_m3[cell, label[cell]] if is_free[cell] else 0.0
     for side in range(num_sides):
         one, other = pair[side, 0], pair[side, 1]
         neither = side_m3[side, label[one], label[other]]
         only_other, only_one = side_m3[side, label[one], number], side_m3[side, number, label[other]]
-        need_m3[one] += only_one - neither
-        need_m3[other] -= only_one
-        # where planes to the left and right of a side cost more than both by way of a third one, this is a bound
-        rest_m3[side], rest_m3[side + num_sides] = 0.0, max(only_other + only_one - neither, 0.0)
+        if is_free[one]:
+            need_m3[one] += only_one - neither
+            if is_free[other]:
+                need_m3[other] -= only_one
+                # a bound where two planes side by side cost more than both by way of a third one
+                rest_m3[side + num_sides] = max(only_other + only_one - neither, 0.0)
+        elif is_free[other]:
+            need_m3[other] += only_other - neither
     while True:
         head, tail, meets = 0, 0, False
         for cell in range(num_cells):

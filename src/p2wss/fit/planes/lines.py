@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
+import shapely
 
 from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import heights
@@ -32,11 +32,6 @@ class Line:
     def direction(self) -> np.ndarray:
         return np.array([-self.normal[1], self.normal[0]])
 
-    @property
-    def ends_m(self) -> np.ndarray:
-        """(2, 2), for a line with ends."""
-        return self.normal * self.offset_m + np.outer([self.low_m, self.high_m], self.direction)
-
     def along(self, xy_m: np.ndarray, reach_m: float) -> Line:
         """The line as far as places (m, 2) beside it, and further."""
         place = xy_m @ self.direction
@@ -46,7 +41,17 @@ class Line:
 
 def as_arrays(lines: Sequence[Line]) -> tuple[np.ndarray, np.ndarray]:
     """(normals (l, 2), offsets (l,)) of lines."""
-    return np.array([line.normal for line in lines]), np.array([line.offset_m for line in lines])
+    return np.array([line.normal for line in lines]).reshape(-1, 2), np.array(
+        [line.offset_m for line in lines]
+    )
+
+
+def ends_of(lines: Sequence[Line], far_m: float = np.inf) -> np.ndarray:
+    """(l, 2, 2), the ends of lines, at most so far from the place of a line that is nearest to the origin."""
+    normal, offset_m = as_arrays(lines)
+    place = np.array([(line.low_m, line.high_m) for line in lines]).reshape(-1, 2).clip(-far_m, far_m)
+    direction = np.column_stack([-normal[:, 1], normal[:, 0]])
+    return np.asarray((normal * offset_m[:, None])[:, None] + place[:, :, None] * direction[:, None])
 
 
 def lines_of(
@@ -117,20 +122,22 @@ def _borders(
     rows = np.flatnonzero(label >= 0)
     if len(rows) < 4:
         return {}
-    try:
-        corner = rows[Delaunay(point_m[rows, :2]).simplices]
-    except QhullError:
-        return {}
-    link = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
+    # complex numbers are in the order of their first and then their second coordinate
+    place, first = np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)
+    edges = shapely.delaunay_triangles(shapely.multipoints(point_m[rows, :2]), only_edges=True)
+    end = shapely.get_coordinates(edges) @ [1, 1j]
+    link = rows[first[np.searchsorted(place, end)]].reshape(-1, 2)
     link = link[label[link[:, 0]] != label[link[:, 1]]]
     apart = point_m[link[:, 0], :2] - point_m[link[:, 1], :2]
     link = link[np.hypot(apart[:, 0], apart[:, 1]) < near_m]
     link = np.where(label[link[:, :1]] < label[link[:, 1:]], link, link[:, ::-1])
-    result = {}
-    for pair in np.unique(label[link], axis=0):
-        between = link[(label[link] == pair).all(axis=1)]
-        result[int(pair[0]), int(pair[1])] = [point_m[np.unique(between[:, side]), :2] for side in (0, 1)]
-    return result
+    size = len(label)
+    pair_of = label[link] @ [size, 1]
+    pairs, sides = np.unique(pair_of), []
+    for side in (0, 1):
+        number, row = np.divmod(np.unique(pair_of * size + link[:, side]), size)
+        sides.append(np.split(point_m[row, :2], np.searchsorted(number, pairs[1:])))
+    return {divmod(pair, size): list(each) for pair, *each in zip(pairs.tolist(), *sides, strict=False)}
 
 
 def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawing) -> list[Line]:
@@ -154,14 +161,15 @@ def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawi
 def _extent(xy_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
     """The sides of the rectangle around the places (m, 2) of a plane."""
     normal = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    place = xy_m @ normal.T
-    margin_m = np.ptp(place, axis=0) / len(place) ** 0.5 / 2
     # of so few values, numpy's own percentiles take ten times as long
-    place = np.sort(place, axis=0)
+    place = np.sort(xy_m @ normal.T, axis=0)
+    margin_m = (place[-1] - place[0]) / len(place) ** 0.5 / 2
     low, high = place[[round(share * (len(place) - 1)) for share in (0.01, 0.99)]]
+    # the direction of the first axis is the second axis, that of the second is against the first
+    (start, left), (end, right) = place[[0, -1]] + np.outer([-1, 1], [settings.reach_m] * 2)
     return [
-        Line(normal[axis], float(offset)).along(xy_m, settings.reach_m)
-        for axis in (0, 1)
+        Line(normal[axis], float(offset), *span)
+        for axis, span in enumerate([(left, right), (-end, -start)])
         for offset in (low[axis] - margin_m[axis], high[axis] + margin_m[axis])
     ]
 
@@ -170,7 +178,8 @@ def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) ->
     """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
     targets = [*edges, *steps]
     normal, offset_m = as_arrays(targets)
-    middle_m = np.array([step.ends_m.mean(axis=0) for step in steps]).reshape(-1, 2)
+    end_m = ends_of(steps)
+    middle_m = end_m.mean(axis=1)
     is_same = np.abs(normal[len(edges) :] @ normal.T) > np.cos(np.radians(settings.same_deg / 2))
     is_same &= np.abs(middle_m @ normal.T - offset_m) < settings.snap_m
     is_target = np.arange(len(targets)) < len(edges)
@@ -178,7 +187,7 @@ def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) ->
     for own, (step, same) in enumerate(zip(steps, is_same, strict=True), len(edges)):
         if (same & is_target).any():
             number = int((same & is_target).argmax())
-            result[number] = result.get(number, targets[number]).along(step.ends_m, 0.0)
+            result[number] = result.get(number, targets[number]).along(end_m[own - len(edges)], 0.0)
         else:
             result[own], is_target[own] = step, True
     return list(result.values())

@@ -86,15 +86,15 @@ class _Borders:
         for start, end in self.face:
             beside[start].add(end)
             beside[end].add(start)
-        pending = sorted(beside, reverse=True)
+        # complex numbers, which Python takes faster than numpy takes arrays of two
+        pending, xy = sorted(beside, reverse=True), (self.xy_m @ [1, 1j]).tolist()
         while pending:
             vertex = pending.pop()
             if vertex in self.fixed or len(beside[vertex]) != 2:
                 continue
             one, other = sorted(beside[vertex])
-            chord = self.xy_m[other] - self.xy_m[one]
-            to_vertex = self.xy_m[vertex] - self.xy_m[one]
-            off_m = abs(chord[0] * to_vertex[1] - chord[1] * to_vertex[0]) / max(np.hypot(*chord), GRID_M)
+            chord, to_vertex = xy[other] - xy[one], xy[vertex] - xy[one]
+            off_m = abs((chord.conjugate() * to_vertex).imag) / max(abs(chord), GRID_M)
             if other in beside[one] or off_m > _STRAIGHT_M:
                 continue
             for start, end in ((one, other), (other, one)):
@@ -112,7 +112,7 @@ class _Network:
 
     def __init__(self, borders: _Borders, plane: np.ndarray, exact: Arrangement | None) -> None:
         self._borders = borders
-        self._plane = plane
+        self._plane, self._coefficients = plane, plane.tolist()
         self._face = dict(borders.face)
         self._xy_m = [*(borders.xy_m if exact is None else self._exact_places(exact))]
         self._divide_at_crossings()
@@ -121,7 +121,7 @@ class _Network:
         self._lift()
 
     def _height(self, number: int, xy_m: np.ndarray) -> float:
-        a, b, c = self._plane[number]
+        a, b, c = self._coefficients[number]
         return float(a * xy_m[0] + b * xy_m[1] + c)
 
     def _exact_places(self, cells: Arrangement) -> np.ndarray:
@@ -227,9 +227,9 @@ class _Network:
     def _triangles(self, face: dict[tuple[int, int], int]) -> np.ndarray:
         """Vertices (t, 3) of the triangles of all connected faces, counter-clockwise seen from above."""
         numbers, places = zip(*self._rings(face), strict=True)
-        xy_m = [[self._xy_m[place] for place in each] for each in places]
-        polygon = np.array([shapely.Polygon(each) for each in xy_m])
-        is_hole = ~shapely.is_ccw(shapely.get_exterior_ring(polygon))
+        xy_m, number = np.array(self._xy_m), np.repeat(np.arange(len(places)), [*map(len, places)])
+        exterior = np.asarray(shapely.linearrings(xy_m[np.concatenate(places)], indices=number), object)
+        polygon, is_hole = np.asarray(shapely.polygons(exterior), object), ~shapely.is_ccw(exterior)
         face_of_ring = np.arange(len(polygon))
         for hole in np.flatnonzero(is_hole).tolist():
             around = ~is_hole & (np.array(numbers) == numbers[hole])
@@ -239,9 +239,8 @@ class _Network:
         vertex = [self._number[place, numbers[i]] for i in order for place in places[i]]
         ring = np.repeat(np.arange(len(order)), [len(places[i]) for i in order])
         number_of_face = np.unique(face_of_ring[order], return_inverse=True)[1]
-        return triangulated(np.concatenate([xy_m[i] for i in order]), np.array(vertex), ring, number_of_face)[
-            0
-        ]
+        corner_m = xy_m[np.concatenate([places[i] for i in order])]
+        return triangulated(corner_m, np.array(vertex), ring, number_of_face)[0]
 
     def _walls(self) -> list[list[int]]:
         """Vertices (t, 3) of the triangles of all walls."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 import shapely
-from scipy.spatial import cKDTree
 
 from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, tidy
 from p2wss.skeleton.groups import groups
@@ -92,13 +92,15 @@ def _crossings(
         upright = np.hypot(vector[crossing, 0], vector[crossing, 1]) <= TOLERANCE_M
         place[upright, :2] = start[crossing][upright, :2]
     used = np.unique(segment)
-    away, nearest = cKDTree(point[used]).query(place)
+    away, nearest = scipy.spatial.cKDTree(point[used]).query(place)
     vertex = used[nearest]
     # new points at one place are one, the lexicographically smallest, whatever the order of the segments
     fresh = np.flatnonzero(away > TOLERANCE_M)
     if len(fresh):
         fresh = fresh[np.lexsort(place[fresh].T[::-1])]
-        cluster = groups(len(fresh), cKDTree(place[fresh]).query_pairs(TOLERANCE_M, output_type="ndarray"))
+        cluster = groups(
+            len(fresh), scipy.spatial.cKDTree(place[fresh]).query_pairs(TOLERANCE_M, output_type="ndarray")
+        )
         _, first, cluster = np.unique(cluster, return_index=True, return_inverse=True)
         vertex[fresh] = len(point) + cluster
         point = np.vstack([point, place[fresh[first]]])

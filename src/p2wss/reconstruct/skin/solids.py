@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import shapely
-from scipy.spatial import cKDTree
 
 from p2wss.mesh import Mesh
 from p2wss.skeleton.groups import groups
@@ -142,7 +142,9 @@ def weld(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> np.n
     used = np.unique(np.array([v for wall in walls for ring in faces[wall].rings for v in ring], int))
     # the lexicographically smallest stands for all, so that the order of the buildings has no effect
     used = used[np.lexsort(point[used].T[::-1])]
-    place = groups(len(used), cKDTree(point[used, :2]).query_pairs(TOLERANCE_M, output_type="ndarray"))
+    place = groups(
+        len(used), scipy.spatial.cKDTree(point[used, :2]).query_pairs(TOLERANCE_M, output_type="ndarray")
+    )
     _, first = np.unique(place, return_index=True)
     point[used, :2] = point[used[first[place]], :2]
     order = np.lexsort([point[used, 2], place])

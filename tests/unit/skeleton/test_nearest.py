@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from p2wss.skeleton.nearest import nearest
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize(("num_points", "count"), [(1, 1), (7, 7), (400, 1), (400, 12)])
+def test_the_points_that_a_tree_finds(dimensions: int, num_points: int, count: int) -> None:
+    draw = np.random.default_rng(0)
+    point_m = draw.uniform(0, 20, (num_points, dimensions))
+    # far outside the points, too, and on a line of them
+    for places in (point_m, draw.uniform(-40, 60, (100, dimensions))):
+        for points in (point_m, point_m * np.eye(dimensions)[0]):
+            distance_m, number = nearest(points, places, count)
+            expected_m, _ = cKDTree(points).query(places, [*range(1, count + 1)])
+            np.testing.assert_allclose(distance_m, expected_m, atol=1e-12)
+            at_m = np.linalg.norm(points[number] - places[:, None], axis=2)
+            np.testing.assert_allclose(at_m, distance_m, atol=1e-12)
+            assert all(len(set(each)) == count for each in number.tolist())
+
+
+def test_of_equally_near_points_the_first() -> None:
+    corner_m = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
+    assert nearest(np.vstack([corner_m, corner_m]), np.ones((1, 2)), 8)[1].tolist() == [[*range(8)]]
+
+
+def test_no_more_points_than_there_are() -> None:
+    assert nearest(np.zeros((2, 3)), np.zeros((1, 3)), 3)[0].tolist() == [[0, 0, np.inf]]
+
+
+def test_what_a_run_does_not_need_is_not_loaded() -> None:
+    unused = {"scipy.spatial", "scipy.ndimage", "scipy.linalg", "scipy.fft", "pyarrow.parquet"}
+    code = (
+        "import sys; import numpy as np; from p2wss.reconstruct import scene; "
+        "from p2wss.skeleton.nearest import nearest; nearest(np.zeros((1, 2)), np.zeros((1, 2))); "
+        f"assert not {unused} & sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
