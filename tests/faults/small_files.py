@@ -9,6 +9,7 @@ from pathlib import Path
 import geopandas as gpd
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pyproj
 import shapely
 import torch
@@ -69,7 +70,7 @@ def _tables(folder: Path, rows: list[dict]) -> None:
     ]
     shapes = [shapely.Polygon(ring) for ring in corners]
     facts = files.read_metadata(folder / "scene.parquet")
-    scene = files.pq.read_table(folder / "scene.parquet").to_pandas()
+    scene = pq.read_table(folder / "scene.parquet").to_pandas()
     files.write_geoparquet(
         folder / "scene.parquet", gpd.GeoDataFrame(scene, geometry=shapes, crs=CRS), dict(facts)
     )

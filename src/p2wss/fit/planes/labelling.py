@@ -203,7 +203,7 @@ def _relabelled(graph: _Graph, label: np.ndarray, is_inside: np.ndarray, is_used
     return _expanded(graph, result, is_inside, is_around)
 
 
-@entry
+@allocating
 def _expanded(graph: _Graph, label: np.ndarray, is_free: np.ndarray, is_used: np.ndarray) -> np.ndarray:
     """The labels (c,) after planes, those of bool (k,), have taken cells in turn, those of bool (c,), as long as that
     saves something, without the prices of faces."""
