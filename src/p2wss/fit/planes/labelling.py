@@ -116,13 +116,10 @@ def costs_of(
 
 def least_cost(costs: Costs) -> np.ndarray:
     """int (c,): the plane over each cell."""
-    num_cells, num_planes = costs.cell_m3.shape
     # of lines that are dispensed with, steps are forbidden
     costs = replace(costs, side_m3=costs.side_m3.copy())
-    graph, label = costs.graph(), np.zeros(num_cells, np.int64)
-    label, total_m3 = _with_fewer_faces(
-        costs, graph, label, np.ones(num_cells, bool), np.ones(num_planes, bool)
-    )
+    graph, label = costs.graph(), np.zeros(len(costs.cell_m3), np.int64)
+    label, total_m3 = _with_fewer_faces(costs, graph, label, np.ones(len(label), bool))
     tried: set[int] = set()
     while True:
         steps_m = costs.steps_m(label)
@@ -135,10 +132,9 @@ def least_cost(costs: Costs) -> np.ndarray:
         on_line = np.flatnonzero(costs.line == line)
         face = costs.faces(label)
         is_inside = np.isin(face, face[costs.pair[on_line[costs.is_step_at(label)[on_line]]]])
-        is_used = np.bincount(label[is_inside], minlength=num_planes) > 0
         before_m3 = costs.side_m3[on_line]
         costs.side_m3[on_line] += _FORBIDDEN_M3 * costs.is_step[on_line]
-        other, other_m3 = _with_fewer_faces(costs, graph, label, is_inside, is_used)
+        other, other_m3 = _with_fewer_faces(costs, graph, label, is_inside)
         if other_m3 < total_m3 - _GAIN_M3:
             label, total_m3 = other, other_m3
         else:
@@ -146,11 +142,12 @@ def least_cost(costs: Costs) -> np.ndarray:
 
 
 def _with_fewer_faces(
-    costs: Costs, graph: _Graph, label: np.ndarray, is_inside: np.ndarray, is_used: np.ndarray
+    costs: Costs, graph: _Graph, label: np.ndarray, is_inside: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """The labels (c,) after some cells, bool (c,), have got the planes of least cost, of those that are used, bool
-    (k,), and of those around, and faces of such cells have given way to those around them; and what they cost."""
-    label = _relabelled(graph, label, is_inside, is_used)
+    """The labels (c,) after some cells, bool (c,), have got the planes of least cost, and faces of such cells have
+    given way to those around them; and what they cost."""
+    every = np.ones(costs.cell_m3.shape[1], bool)
+    label = _relabelled(graph, label, is_inside, every)
     total_m3, tried = costs.total_m3(label), set()
     while True:
         face = costs.faces(label)
@@ -162,7 +159,7 @@ def _with_fewer_faces(
             if key in tried or not is_whole[number]:
                 continue
             tried.add(key)
-            simpler = _relabelled(graph, label, is_face, np.zeros_like(is_used))
+            simpler = _relabelled(graph, label, is_face, ~every)
             simpler_m3 = costs.total_m3(simpler)
             if simpler_m3 < total_m3 - _GAIN_M3:
                 label, total_m3 = simpler, simpler_m3

@@ -218,19 +218,16 @@ def test_a_border_along_pieces_of_several_lines_gives_way_to_a_straight_one() ->
     assert least_cost(jagged).tolist() == [0, 0, 1, 0, 1, 1]
 
 
-def test_labels_cost_little_more_than_the_least() -> None:
+@pytest.mark.parametrize("seed", range(30))
+def test_labels_cost_little_more_than_the_least(seed: int) -> None:
     """Against all labellings of six cells in a ring, by three planes."""
-    ratio = []
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-        pair = np.array([[i, (i + 1) % 6] for i in range(6)])
-        share = rng.uniform(0.5, 1.5, (6, 3, 3))
-        share = (share + share.transpose(0, 2, 1)) * (1 - np.eye(3))
-        costs = ring_costs(rng.uniform(0, 2, (6, 3)), pair, 0.3 * share, 0.3)
-        best = min(costs.total_m3(np.array(each)) for each in itertools.product(range(3), repeat=6))
-        ratio.append(costs.total_m3(least_cost(costs)) / best)
-    assert np.mean(ratio) < 1.005
-    assert max(ratio) < 1.2
+    rng = np.random.default_rng(seed)
+    pair = np.array([[i, (i + 1) % 6] for i in range(6)])
+    share = rng.uniform(0.5, 1.5, (6, 3, 3))
+    share = (share + share.transpose(0, 2, 1)) * (1 - np.eye(3))
+    costs = ring_costs(rng.uniform(0, 2, (6, 3)), pair, 0.3 * share, 0.3)
+    best = min(costs.total_m3(np.array(each)) for each in itertools.product(range(3), repeat=6))
+    assert costs.total_m3(least_cost(costs)) <= 1.1 * best
 
 
 def test_most_labels_are_the_cheapest() -> None:
