@@ -216,6 +216,30 @@ def test_a_border_along_pieces_of_several_lines_gives_way_to_a_straight_one() ->
     assert least_cost(costs).tolist() == [0, 0, 1, 0, 0, 1]
     jagged = replace(costs, prices=prices._replace(line_m3=0.01))
     assert least_cost(jagged).tolist() == [0, 0, 1, 0, 1, 1]
+    # a shorter step elsewhere is tried first, and stays, as its points are clear
+    apart = Costs(
+        np.vstack([cell_m3, [[0, 9], [9, 0]]]),
+        np.vstack([pair, [[6, 7]]]),
+        np.concatenate([side_m3, 0.02 * differs]),
+        np.repeat(differs, 8, axis=0),
+        np.append(line, 3),
+        np.append(length_m, 0.2),
+        prices,
+    )
+    assert least_cost(apart).tolist() == [0, 0, 1, 0, 0, 1, 0, 1]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_two_planes_are_divided_at_least_cost(seed: int) -> None:
+    """One minimum cut, against all ways to divide ten cells with twenty sides."""
+    rng = np.random.default_rng(seed)
+    pair = rng.permutation(list(itertools.combinations(range(10), 2)))[:20]
+    side_m3 = rng.uniform(0, 1, (20, 1, 1)) * (1 - np.eye(2))
+    prices = PLANES.prices._replace(face_m3=0.0, line_m3=0.0)
+    cell_m3 = rng.uniform(0, 2, (10, 2))
+    costs = Costs(cell_m3, pair, side_m3, side_m3 > 0, np.arange(20), np.ones(20), prices)
+    best_m3 = min(costs.total_m3(np.array(each)) for each in itertools.product(range(2), repeat=10))
+    assert costs.total_m3(least_cost(costs)) == pytest.approx(best_m3)
 
 
 @pytest.mark.parametrize("seed", range(30))
