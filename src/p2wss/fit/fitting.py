@@ -19,7 +19,7 @@ from p2wss.fit.mesh.short_edges import without_short_edges
 from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.points import ground_points, roof_points, shaft_points, wall_hits
-from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
+from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, fit_roof, roof_loss
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Thresholds
@@ -45,10 +45,9 @@ def fit(
     begins and, with few points above all, what the result is drawn towards. It remains the result where there are too
     few points, the search finds nothing better, or the kernel rejects what the search finds.
     """
-    fitter = Fitter(thresholds.limits._replace(max_roof_height_m=float(config.max_roof_height_m)))
     result = []
     for building, start in zip(buildings, initial or [None] * len(buildings), strict=True):
-        reconstruction = fit_building(_Task(building, start, config, method, thresholds, fitter))
+        reconstruction = fit_building(_Task(building, start, config, method, thresholds))
         if not reconstruction.has_mesh and start is not None and start.has_mesh:
             reconstruction = replace(start, method=method)
         result.append(reconstruction)
@@ -64,7 +63,6 @@ class _Task:
     config: Reconstruct
     method: str
     thresholds: Thresholds
-    fitter: Fitter
 
 
 @dataclass(frozen=True)
@@ -156,18 +154,16 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
     """The parametric building of the paper that is nearest to the points, from the network's values or from nothing; a
     reason without one."""
-    rings, point_m, fitter = prepared.rings, prepared.point_m, task.fitter
-    initial = task.initial
+    rings, point_m, initial = prepared.rings, prepared.point_m, task.initial
+    settings, top_m = task.thresholds.parametric, task.config.max_roof_height_m
     if initial is None or initial.angle_deg is None or initial.eave_height_m is None or not initial.has_mesh:
         prior, guesses = make_prior(rings, len(point_m)), []
     else:
         guess_deg, eave_m = initial.angle_deg, initial.eave_height_m
         prior = make_prior(rings, len(point_m), guess_deg, initial.class_probability, eave_m)
         guess = FittedRoof(rings, guess_deg, eave_m, np.inf)
-        guesses = [replace(guess, loss_m=fitter.loss(guess, point_m, prior))]
-    start_deg = [guess.angle_deg for guess in guesses]
-    fitted = fitter.fit(rings, point_m, task.thresholds.effort, start_deg, prior)
-    roof = min(filter(None, [*guesses, fitted]), key=lambda roof: roof.loss_m, default=None)
+        guesses = [replace(guess, loss_m=roof_loss(guess, point_m, settings, prior, top_m))]
+    roof = fit_roof(rings, point_m, settings, guesses, prior, top_m)
     if roof is None:
         return reasons.NO_ROOF
     eave_m = max(roof.eave_z_m, task.config.min_eave_height_m)

@@ -17,100 +17,52 @@ NOISE_M = 0.03
 USUAL_SLOPE_DEG = 38.0
 
 
-class Effort(NamedTuple):
-    """How much the fit of one roof may cost."""
+@dataclass(frozen=True)
+class Parametric:
+    """How the paper's building is fitted (`roof/`)."""
 
-    # points: the sample that the search takes; swept
-    num_search_points: int = 64
-    # points: those that the last rounds take
+    # points: the samples that the search and the last rounds take; swept
+    num_search_points: int = 128
     num_points: int = 300
-    # starts that are improved after a first round; swept
-    num_followed: int = 5
-    # starts from which the classes are searched
-    num_descents: int = 1
-    # rounds of such a search over all edges
-    max_rounds: int = 2
-
-
-class Limits(NamedTuple):
-    """What a roof may be, and what a change of it has to gain in the mean of the residuals."""
-
     # metres: larger residuals count as this
     cap_m: float = 1.0
-    # metres above the eave; `reconstruct.max_roof_height_m`
-    max_roof_height_m: float = 12.0
-    # metres that another class of an edge gains, with 150 points; proportionally more with fewer; swept
+    # metres: the least squares take no larger ones
+    reach_m: float = 1.0
+    # metres that another class of an edge gains, with so many points; proportionally more with fewer; swept
     class_gain_m: float = 0.002
+    full_num_points: float = 150.0
     # metres that different slopes of edges that face the same way gain; swept
     separate_slope_gain_m: float = 0.006
     # metres that whole degrees, and gables in place of steep ends, may cost
     rounding_m: float = 0.01
-
-
-class Settings(NamedTuple):
-    """Effort and limits, as compiled code takes them."""
-
-    effort: Effort
-    limits: Limits
-
-
-class Solving(NamedTuple):
-    """The least squares of height and slopes (`roof/solve.py`)."""
-
+    # degrees: of the hip and gable roofs that a search starts from, of slopes in place of a guess's flat edges, and all
+    # that are tried for an edge; a slope that differs by less is the same
+    start_deg: float = 42.0
+    low_deg: float = 18.0
+    tried_deg: tuple[float, ...] = (0.0, 90.0, 18.0, USUAL_SLOPE_DEG, 57.0)
+    same_slope_deg: float = 9.0
+    # rounds of least squares: of each start, of each change that is tried, of what is kept
+    num_start_rounds: int = 4
+    num_trial_rounds: int = 3
+    num_last_rounds: int = 8
+    # edges: with more, only all of one direction are tried together; with more than the second, only starts
+    many_edges: int = 40
+    too_many_edges: int = 120
     # metres: smaller residuals have full weight; larger than the mean residual of noise, whose largest are near it
     noise_m: float = 0.05
     # degrees: slopes are between these; the kernel takes up to 85
-    min_angle_deg: float = 5.0
-    max_angle_deg: float = 75.0
+    slopes_deg: tuple[float, float] = (5.0, 75.0)
     # weights of the present height and slope, in points: they keep a step small where the points do not determine it
     keep_eave: float = 1e-3
     keep_slope: float = 0.5
-    # larger differences from the prior cost no more than these, which is where a different roof begins
-    max_difference_deg: float = 20.0
-    max_difference_m: float = 3.0
-    # smaller ones are weighted as if they were these, as reweighting would divide by zero
-    min_difference_deg: float = 1.0
-    min_difference_m: float = 0.1
-    # values: with more of them, selecting their median is faster than counting
-    max_counted: int = 100
-    # the first rounds from a median height take residuals of up to this multiple of the cap, as it may be far off
-    first_reach: float = 3.0
-    num_first_rounds: int = 2
-    # a step that gains nothing is shortened to this share, so many times
-    shorter_step: float = 0.4
-    num_steps: int = 3
+    # smaller differences from a prior are weighted as if they were these, as reweighting would divide by zero
+    least_deg: float = 1.0
+    least_m: float = 0.1
+    # a step that gains nothing is shortened to these shares
+    steps: tuple[float, ...] = (1.0, 0.4, 0.16)
     # metres: a step is accepted that gains this much, and another round follows a gain of the second
     min_step_gain_m: float = 1e-5
     min_round_gain_m: float = 5e-4
-
-
-class Searching(NamedTuple):
-    """The search for the class of every edge (`roof/search.py`, `roof/rounds.py`)."""
-
-    # metres: what a better roof leaves of the residual of one point, where the search decides whether to try it
-    noise_m: float = 0.04
-    # degrees of the hip and gable roofs that a search starts from, and of slopes in place of a guess's flat edges
-    hip_deg: float = 42.0
-    low_deg: float = 18.0
-    # rounds of least squares: of each start, of those that are followed, of a candidate, of the best, with all points
-    num_first: int = 1
-    num_next: int = 3
-    num_candidate: int = 3
-    num_last: int = 8
-    num_full: int = 5
-    # metres: starts that are this much worse than the best after the first round are dropped
-    follow_m: float = 0.2
-    # metres: a candidate this much worse than the present loss is tried again, from the median height
-    second_look_m: float = 0.05
-    # metres: a candidate this much worse after a round is dropped, in the search and when all points are at hand
-    give_up_m: float = 0.12
-    give_up_last_m: float = 0.05
-    # points: with these the gains of `Limits` hold as they are
-    full_num_points: float = 150.0
-    # edges: with more, fewer of them are tried by themselves, as the time grows with the cube of their number
-    many_edges: int = 40
-    # edges: with more, only the best start is followed
-    too_many_edges: int = 120
     # degrees: a steeper end of a gable roof becomes a gable if that costs little
     nearly_gable_deg: float = 60.0
     # metres: one that is narrower is a return from the wall below, and becomes a gable for up to the second
@@ -118,7 +70,7 @@ class Searching(NamedTuple):
     wall_hits_m: float = 0.04
 
 
-EFFORT, SOLVING, SEARCHING = Effort(), Solving(), Searching()
+PARAMETRIC = Parametric()
 
 
 @dataclass(frozen=True)
@@ -260,8 +212,7 @@ class Planes(NamedTuple):
 class Thresholds:
     """All that decides between roofs."""
 
-    effort: Effort = field(default_factory=Effort)
-    limits: Limits = field(default_factory=Limits)
+    parametric: Parametric = field(default_factory=Parametric)
     chimneys: Chimneys = field(default_factory=Chimneys)
     planes: Planes = field(default_factory=Planes)
     # points on a roof: with fewer, the parametric model knows more than planes in them show

@@ -65,13 +65,6 @@ def marker(with_scans: bool) -> Path | None:
     return folder / f"warm-up.{digest.hexdigest()}"
 
 
-def warm_fit() -> None:
-    """The functions of the fit that others call by address: the larger half."""
-    from p2wss.fit.roof.linkage import linked_work
-
-    linked_work(1, 1)
-
-
 def warm_footprints_and_meshes() -> None:
     """Cleaning footprints, finding their points, meshes, whether solids are valid."""
     from p2wss import skeleton
@@ -125,7 +118,7 @@ def warm_product() -> None:
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
 
 
-TASKS = (warm_fit, warm_footprints_and_meshes, warm_network_input)
+TASKS = (warm_footprints_and_meshes, warm_network_input)
 
 
 def sample() -> tuple[gpd.GeoDataFrame, Cloud]:

@@ -16,12 +16,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from hashlib import blake2b
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import config, njit, typeof, types
+from numba import config, njit, typeof
 from numba.core import cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.codegen import JITCodeLibrary
@@ -30,7 +29,6 @@ from numba.core.errors import TypingError
 from numba.core.typing import signature
 from numba.extending import intrinsic
 from numba.np import linalg
-from numba.np.arrayobj import populate_array
 
 # before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
 linalg.ensure_blas = lambda: None
@@ -285,50 +283,4 @@ def by_address(function: Any) -> Any:
     names = ["typing_context", "code", *inspect.signature(function.py_func).parameters]
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     define.__signature__ = inspect.Signature([inspect.Parameter(each, kind) for each in names])  # type: ignore
-    return intrinsic(define)
-
-
-def described(value: Any) -> list[int]:
-    """What :func:`stored_tuple` reads: of an array its address, shape and strides, of a tuple that of its fields."""
-    if isinstance(value, np.ndarray):
-        return [value.ctypes.data, *value.shape, *value.strides]
-    return (
-        [word for field in value for word in described(field)] if isinstance(value, tuple) else [int(value)]
-    )
-
-
-def stored_tuple(example: Callable[[], tuple]) -> Any:
-    """A function for compiled code that returns a tuple of arrays, integers and such tuples, like that of ``example``,
-    from the address of an int64 array that holds what :func:`described` returns.
-
-    A call that passes the address is cheaper than one that passes seven numbers for each array. Reference counts stay
-    as they are, so the tuple has to live longer than the call.
-    """
-
-    def define(typing_context: Any, address: Any) -> Any:
-        tuple_type = typeof(example())
-
-        def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
-            word_type = context.get_value_type(types.intp)
-            first, number = builder.inttoptr(values[0], word_type.as_pointer()), count()
-
-            def word() -> Any:
-                return builder.load(builder.gep(first, [word_type(next(number))]))
-
-            def value_of(numba_type: Any) -> Any:
-                if isinstance(numba_type, types.BaseTuple):
-                    return context.make_tuple(builder, numba_type, [value_of(each) for each in numba_type])
-                if not isinstance(numba_type, types.Array):
-                    return word()
-                array = context.make_array(numba_type)(context, builder)
-                data = builder.inttoptr(word(), array.data.type)
-                shape, strides = ([word() for _ in range(numba_type.ndim)] for _ in range(2))
-                size = context.get_abi_sizeof(context.get_data_type(numba_type.dtype))
-                populate_array(array, data, shape, strides, size, None)
-                return array._getvalue()
-
-            return value_of(tuple_type)
-
-        return signature(tuple_type, types.intp), generate
-
     return intrinsic(define)

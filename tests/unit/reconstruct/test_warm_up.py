@@ -16,7 +16,7 @@ from p2wss.reconstruct import warm_up
 from p2wss.reconstruct.pipeline import run
 
 # called from Python by tests only
-NOT_CALLED = {"inherited_angles", "edge_groups"}
+NOT_CALLED = {"inherited_angles"}
 
 
 def entries() -> Iterator[CPUDispatcher]:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
 
 import numpy as np
 
+from p2wss.fit.directions import turn_between
 from p2wss.fit.points import even_order, every_kth
-from p2wss.fit.roof.linkage import linked_work
-from p2wss.fit.roof.rounds import fit_roof, roof_loss, tidy_roof
-from p2wss.fit.roof.solve import IMPOSSIBLE
-from p2wss.fit.roof.work import NO_PRIOR, Context, FitWork, Polygon, Prior
-from p2wss.fit.settings import EFFORT, Effort, Limits, Settings
+from p2wss.fit.roof.prior import Prior
+from p2wss.fit.roof.solve import Problem, Roofs, evaluate, improved
+from p2wss.fit.settings import PARAMETRIC, Parametric
+from p2wss.skeleton import Polygons
 
 # fewer points show no roof
 MIN_NUM_POINTS = 3
@@ -33,76 +32,156 @@ class FittedRoof:
     loss_m: float
 
 
-class Fitter:
-    """Fits roofs to points, one polygon at a time; keeps its work arrays from one polygon to the next."""
+def fit_roof(
+    rings: Sequence[np.ndarray],
+    point_m: np.ndarray,
+    settings: Parametric = PARAMETRIC,
+    guesses: Sequence[FittedRoof] = (),
+    prior: Prior | None = None,
+    max_roof_height_m: float = np.inf,
+) -> FittedRoof | None:
+    """The best roof over a polygon for the points (m, 3) inside it, which are in the frame of the rings, with whole
+    degrees where that costs little. None with fewer than three points or a polygon that the kernel refuses.
+    Deterministic, whatever the order of the points.
 
-    def __init__(self, limits: Limits) -> None:
-        self.limits = limits
-        self._work: FitWork = linked_work(32, 1024)
+    guesses: roofs to start from, besides a few simple ones. max_roof_height_m: above the eave.
 
-    @property
-    def num_evaluations(self) -> int:
-        """Number of roofs evaluated so far."""
-        return int(self._work.num_evaluations[0])
-
-    def fit(
-        self,
-        rings: Sequence[np.ndarray],
-        point_m: np.ndarray,
-        effort: Effort,
-        guesses: Sequence[np.ndarray] = (),
-        prior: Prior = NO_PRIOR,
-    ) -> FittedRoof | None:
-        """The best roof over a polygon for the points (m, 3) inside it, which are in the frame of the rings, with whole
-        degrees where that costs little. None with fewer than three points or a polygon that the kernel refuses.
-        Deterministic, whatever the order of the points.
-
-        guesses: angles per edge to start from, besides a few simple roofs.
-
-        The loss is never above that of a flat roof or of a guess with its best height.
-        """
-        if len(point_m) < MIN_NUM_POINTS:
-            return None
-        polygon = flat_rings(rings)
-        ordered_m = point_m[even_order(point_m)]
-        sample = as_columns(ordered_m[every_kth(len(ordered_m), effort.num_points)])
-        guess_deg = np.array(guesses, np.float64).reshape(-1, len(polygon.xy_m))
-        context = self.context(polygon, len(point_m), effort, prior)
-        loss, eave, angle = fit_roof(polygon, sample, guess_deg, context)
-        if loss >= IMPOSSIBLE:
-            return None
-        loss, eave, angle = tidy_roof(polygon, sample, angle, eave, context)
-        roof = FittedRoof(rings, angle, eave, loss)
-        return replace(roof, loss_m=self.loss(roof, point_m, prior))
-
-    def loss(self, roof: FittedRoof, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
-        """Loss of a roof on points (m, 3), metres."""
-        polygon = flat_rings(roof.rings)
-        angle_deg = np.array(roof.angle_deg, np.float64)
-        context = self.context(polygon, len(point_m), prior=prior)
-        return roof_loss(polygon, as_columns(point_m), angle_deg, float(roof.eave_z_m), context)
-
-    def context(
-        self, polygon: Polygon, num_points: int, effort: Effort = EFFORT, prior: Prior = NO_PRIOR
-    ) -> Context:
-        """What compiled code takes besides a polygon and so many points. effort: of a search."""
-        return Context(self.work(len(polygon.xy_m), num_points), Settings(effort, self.limits), prior)
-
-    def work(self, num_edges: int, num_points: int) -> int:
-        """The address of work arrays for at least this many edges and points."""
-        if num_edges > len(self._work.tangent) or num_points > len(self._work.face):
-            work = linked_work(max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face)))
-            work.num_evaluations[:] = self._work.num_evaluations
-            self._work = work
-        return self._work.at
+    The loss is never above that of a flat roof or of a guess.
+    """
+    if len(point_m) < MIN_NUM_POINTS:
+        return None
+    ordered_m = point_m[even_order(point_m)]
+    polygon = Polygons.from_rings([list(rings)])
+    direction, axis = edge_groups(rings)
+    whole = Problem(polygon, ordered_m, direction, prior, settings, max_roof_height_m)
+    sample, last = (
+        replace(whole, point_m=ordered_m[every_kth(len(ordered_m), count)])
+        for count in (settings.num_search_points, settings.num_points)
+    )
+    guess_deg = [np.asarray(guess.angle_deg, float) for guess in guesses]
+    starts = improved(sample, evaluate(sample, _starts(axis, guess_deg, settings)), settings.num_start_rounds)
+    if not np.isfinite(starts.loss_m).any():
+        return None
+    found = _descended(sample, starts.best())
+    roof = _tidied(
+        last, improved(last, evaluate(last, found.angle_deg, found.eave_z_m), settings.num_last_rounds)
+    )
+    at_end = evaluate(whole, roof.angle_deg, roof.eave_z_m)
+    fitted = FittedRoof(rings, at_end.angle_deg[0], float(at_end.eave_z_m[0]), float(at_end.loss_m[0]))
+    return min([fitted, *guesses], key=lambda each: each.loss_m)
 
 
-def as_columns(point_m: np.ndarray) -> np.ndarray:
-    """Points (m, 3) as compiled code takes them: (3, m), contiguous."""
-    return np.ascontiguousarray(point_m.T, np.float64)
+def roof_loss(
+    roof: FittedRoof,
+    point_m: np.ndarray,
+    settings: Parametric = PARAMETRIC,
+    prior: Prior | None = None,
+    max_roof_height_m: float = np.inf,
+) -> float:
+    """Loss of a roof on points (m, 3), metres; one outside counts as far away."""
+    polygon = Polygons.from_rings([list(roof.rings)])
+    problem = Problem(polygon, point_m, np.zeros(0, int), prior, settings, max_roof_height_m)
+    angle_deg, eave_z_m = np.array([roof.angle_deg], float), np.array([roof.eave_z_m])
+    return float(evaluate(problem, angle_deg, eave_z_m).loss_m[0])
 
 
-def flat_rings(rings: Sequence[np.ndarray]) -> Polygon:
-    """The rings, each (n, 2), as compiled code takes them."""
-    xy_m = np.ascontiguousarray(np.concatenate(list(rings)) if len(rings) > 1 else rings[0], np.float64)
-    return Polygon(xy_m, np.array([0, *accumulate(map(len, rings))], np.int64))
+def edge_groups(rings: Sequence[np.ndarray], same_deg: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
+    """(direction (n,), axis (n,)) of the edges: numbers that are the same where edges face the same way, and where they
+    are parallel; 0 is that of the greatest total length."""
+    edge = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
+    bearing_deg = np.degrees(np.arctan2(edge[:, 1], edge[:, 0]))
+    # lengths are compared in whole millimetres, so that rounding errors decide nothing
+    length_mm = np.rint(1000.0 * np.hypot(*edge.T))
+    groups = []
+    for period_deg in (360.0, 180.0):
+        group = np.full(len(edge), -1)
+        for first in np.argsort(-length_mm, kind="stable"):
+            if group[first] < 0:
+                is_same = np.abs(turn_between(bearing_deg, bearing_deg[first], period_deg)) < same_deg
+                group[is_same & (group < 0)] = group.max() + 1
+        rank = np.argsort(np.argsort(-np.bincount(group, length_mm), kind="stable"))
+        groups.append(rank[group])
+    return groups[0], groups[1]
+
+
+def _starts(axis: np.ndarray, guess_deg: Sequence[np.ndarray], settings: Parametric) -> np.ndarray:
+    """Angles (k, n) of the roofs that a search starts from: a flat one, a hip roof, gable roofs along the two main
+    axes, and the guesses, also with slopes in place of edges of 0 degrees, which flatten the roof around them."""
+    steep = np.full(len(axis), settings.start_deg)
+    gables = [np.where(axis == number, steep, 90.0) for number in range(min(axis.max() + 1, 2))]
+    sloped = [np.where(each == 0.0, settings.low_deg, each) for each in guess_deg]
+    return np.array([np.zeros(len(axis)), steep, *gables, *guess_deg, *sloped])
+
+
+def _descended(problem: Problem, roof: Roofs) -> Roofs:
+    """The roof after those changes of single edges and of whole directions, the best first, that lower the loss."""
+    settings = problem.settings
+    num_edges = len(problem.direction)
+    num_directions = int(problem.direction.max()) + 1
+    units = problem.direction == np.arange(num_directions)[:, None]
+    if num_edges <= settings.many_edges:
+        units = np.vstack([np.eye(num_edges, dtype=bool), units])
+    elif num_edges > settings.too_many_edges:
+        return roof
+    tolerance_m = _class_gain_m(problem)
+    while True:
+        changed = _changed(roof.angle_deg[0], units, problem.direction, settings)
+        trial = improved(problem, evaluate(problem, changed), settings.num_trial_rounds)
+        best = trial.best()
+        if best.loss_m[0] >= roof.loss_m[0] - tolerance_m:
+            return roof
+        roof = improved(problem, best, settings.num_last_rounds)
+
+
+def _class_gain_m(problem: Problem) -> float:
+    """What another class of an edge has to gain with so many points."""
+    settings = problem.settings
+    return settings.class_gain_m * max(1.0, settings.full_num_points / len(problem.point_m))
+
+
+def _changed(
+    angle_deg: np.ndarray, units: np.ndarray, direction: np.ndarray, settings: Parametric
+) -> np.ndarray:
+    """Angles (k, n): every other class and slope of each set of edges; edges that face the same way keep one slope."""
+    rows = []
+    is_slope = (angle_deg > 0.0) & (angle_deg < 90.0)
+    for unit in units:
+        for angle in settings.tried_deg:
+            row = np.where(unit, angle, angle_deg)
+            if 0.0 < angle < 90.0:
+                row = np.where(is_slope & np.isin(direction, direction[unit]), angle, row)
+            rows.append(row)
+    different = np.unique(rows, axis=0)
+    return different[(np.abs(different - angle_deg) > settings.same_slope_deg).any(axis=1)]
+
+
+def _tidied(problem: Problem, roof: Roofs) -> Roofs:
+    """The roof with whole degrees where that costs little; one that a flat roof describes as well is flat."""
+    settings, n = problem.settings, len(problem.direction)
+    tolerance_m = _class_gain_m(problem)
+    flat = improved(problem, evaluate(problem, np.zeros((1, n))), settings.num_last_rounds)
+    if flat.loss_m[0] <= roof.loss_m[0] + tolerance_m:
+        return flat
+    if n <= settings.many_edges:
+        apart = replace(problem, direction=np.arange(n))
+        separate = _descended(apart, improved(apart, roof, settings.num_last_rounds))
+        if separate.loss_m[0] < roof.loss_m[0] - max(tolerance_m, settings.separate_slope_gain_m):
+            problem, roof = apart, separate
+    for number in range(int(problem.direction.max()) + 1):
+        # At the end of a gable roof hardly any point distinguishes a steep face from a vertical one, and returns from
+        # a wall that stands back below its eave look like a steep face.
+        angle_deg = roof.angle_deg[0]
+        is_steep = (
+            (problem.direction == number) & (angle_deg > settings.nearly_gable_deg) & (angle_deg < 90.0)
+        )
+        if is_steep.any():
+            on = np.isin(roof.edge[0], np.flatnonzero(is_steep))
+            depth_m = np.max(roof.rise_m[0, on], initial=0.0) / np.tan(np.radians(angle_deg[is_steep].max()))
+            gables = evaluate(problem, np.where(is_steep, 90.0, roof.angle_deg), roof.eave_z_m)
+            gables = improved(problem, gables, settings.num_trial_rounds)
+            most_m = settings.wall_hits_m if depth_m < settings.min_slope_width_m else settings.rounding_m
+            if gables.loss_m[0] <= roof.loss_m[0] + max(tolerance_m, most_m):
+                roof = gables
+    whole = evaluate(problem, np.rint(roof.angle_deg), roof.eave_z_m)
+    whole = improved(problem, whole, settings.num_trial_rounds, only_eaves=True)
+    return whole if whole.loss_m[0] <= roof.loss_m[0] + settings.rounding_m else roof
