@@ -9,7 +9,6 @@ being edited.
 from __future__ import annotations
 
 import gc
-import inspect
 import logging
 import re
 from collections.abc import Callable, Iterator
@@ -20,14 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import config, njit, typeof
-from numba.core import cgutils, event
+from numba import config, njit
+from numba.core import event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.errors import TypingError
-from numba.core.typing import signature
-from numba.extending import intrinsic
 from numba.np import linalg
 
 # before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
@@ -178,10 +174,6 @@ def expect_compilation() -> None:
     _notice.is_logged = True
 
 
-# the functions that are called by address
-_with_address: set[Callable] = set()
-
-
 class _PartOfCallers(JITCodeLibrary):
     """A function that only compiled code calls: its machine code is a part of that of its callers, and it has none
     of its own, which would be translated and stored for nobody."""
@@ -208,9 +200,7 @@ class _PartOfCallers(JITCodeLibrary):
 
 class _CompilerForCallers(Compiler):
     def define_pipelines(self) -> list:
-        function = self.state.func_id
-        if function.func not in _with_address:
-            self.state.library = _PartOfCallers(self.state.targetctx.codegen(), function.func_qualname)
+        self.state.library = _PartOfCallers(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
         return super().define_pipelines()
 
 
@@ -229,58 +219,3 @@ inner = _compiled(**_for_callers, _nrt=False)
 embedded = _compiled(**_for_callers, _nrt=False, forceinline=True)
 # a few lines that numba inserts in place of their call
 inlined = _compiled(inline="always")
-
-
-# the types of the arguments of each function that is called by address
-_argument_types: dict[Any, tuple] = {}
-
-
-def address_of(function: Any, *examples: Any) -> int:
-    """Address of the machine code of a compiled function for arguments of the types of ``examples``, with which
-    :func:`by_address` calls it. The function is compiled or loaded if necessary."""
-    argument_types = _argument_types.setdefault(function, tuple(map(typeof, examples)))
-    if argument_types not in function.overloads:
-        function.compile(argument_types)
-    result = function.overloads[argument_types]
-    return result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
-
-
-def by_address(function: Any) -> Any:
-    """A function for compiled code that calls ``function`` at its :func:`address_of`.
-
-    Its first argument is a named tuple with that address under the name of the function; the others are those
-    of the function. What numba compiles contains everything that it calls, at any depth, optimised and
-    translated anew. A large function with several callers is therefore better called by address: then it is
-    translated once.
-    """
-    name = function.py_func.__name__
-    _with_address.add(function.py_func)
-
-    def define(typing_context: Any, code: Any, *arguments: Any) -> Any:
-        compiled = function.overloads[_argument_types[function]].signature
-        for argument, parameter in zip(arguments, compiled.args, strict=True):
-            if typing_context.can_convert(argument, parameter) is None:
-                raise TypingError(f"{name} is called by address with {argument} in place of {parameter}")
-
-        def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
-            convention = context.call_conv
-            pointer_type = convention.get_function_type(compiled.return_type, compiled.args).as_pointer()
-            address = builder.extract_value(values[0], code.fields.index(name))
-            status, result = convention.call_function(
-                builder,
-                builder.inttoptr(address, pointer_type),
-                compiled.return_type,
-                compiled.args,
-                values[1:],
-            )
-            with cgutils.if_unlikely(builder, status.is_error):
-                convention.return_status_propagate(builder, status)
-            return result
-
-        return signature(compiled.return_type, code, *compiled.args), generate
-
-    # the parameters by name: numba would pack *arguments into one tuple, which takes long to compile
-    names = ["typing_context", "code", *inspect.signature(function.py_func).parameters]
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    define.__signature__ = inspect.Signature([inspect.Parameter(each, kind) for each in names])  # type: ignore
-    return intrinsic(define)

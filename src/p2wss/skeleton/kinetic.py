@@ -23,11 +23,9 @@ multiplicative weights and their application to the algorithmic generation of ro
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, address_of, by_address, embedded, inner
+from p2wss.skeleton.compiled import ZERO, embedded, inner
 from p2wss.skeleton.records import (
     ARC,
     EDGE,
@@ -42,7 +40,6 @@ from p2wss.skeleton.records import (
     NUM_NODES,
     NUM_VERTICES,
     VERTEX,
-    SkeletonCode,
     SkeletonWork,
 )
 from p2wss.skeleton.rings import crosses
@@ -690,20 +687,8 @@ def simulate(work: SkeletonWork, num_edges: int, num_rings: int, max_roof_height
     return status
 
 
-simulate_at = by_address(simulate)
-
-
-@cache
-def _code() -> SkeletonCode:
-    return SkeletonCode(address_of(simulate, _skeleton_work(1, SkeletonCode(0)), 1, 1, 1.0))
-
-
 def skeleton_work(max_edges: int) -> SkeletonWork:
     """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
-    return _skeleton_work(max_edges, _code())
-
-
-def _skeleton_work(max_edges: int, code: SkeletonCode) -> SkeletonWork:
     num_nodes = 8 * max_edges + 64
     return SkeletonWork(
         edge=np.zeros(max_edges, EDGE),
@@ -712,5 +697,4 @@ def _skeleton_work(max_edges: int, code: SkeletonCode) -> SkeletonWork:
         arc=np.zeros(3 * num_nodes, ARC),
         cap_height=np.zeros(num_nodes),
         counts=np.zeros(NUM_COUNTS, np.int64),
-        code=code,
     )

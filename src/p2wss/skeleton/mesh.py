@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
-from p2wss.skeleton.compiled import ZERO, address_of, by_address, inner
+from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.face_rings import trace_faces
 from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
 from p2wss.skeleton.half_edges import collect_half_edges, drop_straight_points
-from p2wss.skeleton.kinetic import simulate_at, skeleton_work
+from p2wss.skeleton.kinetic import simulate
 from p2wss.skeleton.records import (
     FACE,
     HALF,
@@ -20,7 +18,6 @@ from p2wss.skeleton.records import (
     Batch,
     Corners,
     Ears,
-    MeshCode,
     MeshWork,
     SkeletonWork,
     Walls,
@@ -70,7 +67,7 @@ def solid_skeleton(batch: Batch, p: int, work: SkeletonWork) -> tuple[int, int]:
     if status == OK:
         status = check_rings(edge, ring_offset, first_ring, last_ring)
     if status == OK:
-        status = simulate_at(work.code, work, num_edges, last_ring - first_ring, max_roof_height)
+        status = simulate(work, num_edges, last_ring - first_ring, max_roof_height)
     return status, num_edges
 
 
@@ -160,9 +157,6 @@ def finish_solid(
     return status, num_vertices, num_triangles
 
 
-finish_solid_at = by_address(finish_solid)
-
-
 @inner
 def solid_mesh(
     batch: Batch, p: int, skeleton_work: SkeletonWork, mesh_work: MeshWork
@@ -183,26 +177,14 @@ def solid_mesh(
     )
     num_vertices, num_triangles = 0, 0
     for thorough in (False, True):
-        status, num_vertices, num_triangles = finish_solid_at(
-            mesh_work.code, walls, skeleton_work, mesh_work, thorough
-        )
+        status, num_vertices, num_triangles = finish_solid(walls, skeleton_work, mesh_work, thorough)
         if status == OK:
             break
     return status, num_edges, num_vertices, num_triangles
 
 
-@cache
-def _code() -> MeshCode:
-    skeleton, mesh = skeleton_work(1), _mesh_work(1, MeshCode(0))
-    return MeshCode(address_of(finish_solid, Walls(1, 1, 1.0, 1.0, 1.0), skeleton, mesh, True))
-
-
 def mesh_work(max_edges: int) -> MeshWork:
     """Work arrays for solids over polygons of up to ``max_edges`` edges."""
-    return _mesh_work(max_edges, _code())
-
-
-def _mesh_work(max_edges: int, code: MeshCode) -> MeshWork:
     num_points = 9 * max_edges + 64  # nodes of the skeleton, and the corners on the ground
     num_halves = 32 * max_edges + 512
     num_triangles = 16 * max_edges + 256
@@ -239,5 +221,4 @@ def _mesh_work(max_edges: int, code: MeshCode) -> MeshWork:
         hash_key=np.zeros(hash_size, np.int64),
         hash_half=np.zeros(hash_size, np.int64),
         corner=np.zeros(3 * num_triangles, np.int64),
-        code=code,
     )

@@ -1,7 +1,7 @@
 """Which face of the roof lies over a point, and at what height: the queries behind the fit.
 
 With the face of every point held fixed, the height is linear in the eave height and in the tangents of the
-angles: z = eave + tan(angle of the edge) * distance to the edge's line. That is what :func:`assign` returns.
+angles: z = eave + tan(angle of the edge) * distance to the edge's line. That is what :func:`_assign` returns.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from p2wss.skeleton.batch import make_batch, work_size
 from p2wss.skeleton.compiled import ZERO, embedded, entry, inner
-from p2wss.skeleton.kinetic import simulate_at, skeleton_work
+from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.mesh import solid_skeleton
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, Batch, SkeletonWork
 from p2wss.skeleton.status import OK
@@ -46,10 +46,10 @@ _BLOCK = 64
 
 
 class QueryWork(NamedTuple):
-    """Work arrays of :func:`assign` for one thread.
+    """Work arrays of :func:`_assign` for one thread.
 
     winding: int64 (faces + 1, block), how often the boundary of each face, and that of the outside, winds round each
-    point of a block. value, height: of each face, what :func:`assign` writes to ``face`` and, below 0, to
+    point of a block. value, height: of each face, what :func:`_assign` writes to ``face`` and, below 0, to
     ``distance``. beside: a place beside a point.
     """
 
@@ -62,7 +62,7 @@ class QueryWork(NamedTuple):
 
 class QueryPoints(NamedTuple):
     """Points to look for the roof over, float64 (num_points,), relative to the first vertex of the polygon; and what
-    :func:`assign` writes for each: int64 face, float64 distance."""
+    :func:`_assign` writes for each: int64 face, float64 distance."""
 
     x: np.ndarray
     y: np.ndarray
@@ -217,33 +217,18 @@ def _face_beside(
     return face[0]
 
 
-@embedded
-def assign(
-    num_edges: int,
-    num_rings: int,
-    max_roof_height_m: float,
-    skeleton: SkeletonWork,
-    query: QueryWork,
-    points: QueryPoints,
-) -> int:
-    """Find the face over every point for the angles set last, from compiled code. Returns a ``Status``.
+@inner
+def _assign(
+    num_edges: int, max_roof_height_m: float, skeleton: SkeletonWork, query: QueryWork, points: QueryPoints
+) -> None:
+    """Find the face over every point, from the skeleton of the angles set last.
 
-    To be called before: once per polygon, ``load_footprint(xy_m, ring_offset, first_ring, last_ring,
-    skeleton.edge)``, and for every set of angles, ``set_angles(skeleton.edge, num_edges, angle_deg)``. Both are
-    in :mod:`p2wss.skeleton.footprint` and return a status.
-
-    num_edges, num_rings: int64. max_roof_height_m: float64 above the eave, infinity for none. skeleton: a
-    ``SkeletonWork``. query: a :class:`QueryWork`. points: :class:`QueryPoints`; written are ``face``, the edge that
-    owns the roof over the point, or OUTSIDE, FLAT, CAP or CUT, and ``distance``, metres from the line of that edge,
-    so that z = eave + tan(angle) * distance; for CAP and CUT the height above the eave; else 0.
-
-    Nothing is allocated. A point exactly on the boundary of the polygon may count as outside.
+    Written are ``points.face``, the edge that owns the roof over the point, or OUTSIDE, FLAT, CAP or CUT, and
+    ``points.distance``, metres from the line of that edge, so that z = eave + tan(angle) * distance; for CAP and CUT
+    the height above the eave; else 0. A point exactly on the boundary of the polygon may count as outside.
     """
     edge, counts = skeleton.edge, skeleton.counts
     x, y, face, distance = points
-    status = simulate_at(skeleton.code, skeleton, num_edges, num_rings, max_roof_height_m)
-    if status != OK:
-        return status
     num_segments = _fill_segments(edge, num_edges, skeleton.node, skeleton.arc, counts, query.segment)
     num_faces = num_edges + counts[NUM_CAPS]
     _fill_values(edge, num_edges, max_roof_height_m, skeleton, query)
@@ -264,7 +249,6 @@ def assign(
                 )
                 if f >= 0:
                     distance[k] = (y[k] - edge[f].y) * edge[f].dir_x - (x[k] - edge[f].x) * edge[f].dir_y
-    return OK
 
 
 @entry
@@ -282,13 +266,12 @@ def _assign_all(
         first, last = point_offset[p], point_offset[p + 1]
         code, num_edges = solid_skeleton(batch, p, skeleton)
         if code == OK and last > first:
-            first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
-            origin = batch.ring_offset[first_ring]
+            origin = batch.ring_offset[batch.polygon_offset[p]]
             for k in range(first, last):
                 x[k] -= batch.xy_m[origin, 0]
                 y[k] -= batch.xy_m[origin, 1]
-            code = assign(
-                num_edges, last_ring - first_ring, batch.max_roof_height_m[p], skeleton, query,
+            _assign(
+                num_edges, batch.max_roof_height_m[p], skeleton, query,
                 QueryPoints(x[first:last], y[first:last], face[first:last], distance[first:last]),
             )  # fmt: skip
         if code != OK:

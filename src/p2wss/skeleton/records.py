@@ -66,12 +66,6 @@ NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NU
 )
 
 
-class SkeletonCode(NamedTuple):
-    """Addresses of functions that compiled code calls by address; see :mod:`p2wss.skeleton.compiled`."""
-
-    simulate: int
-
-
 class SkeletonWork(NamedTuple):
     """Arrays that :func:`p2wss.skeleton.kinetic.simulate` reads and fills, for polygons of up to
     ``max_edges``."""
@@ -82,7 +76,6 @@ class SkeletonWork(NamedTuple):
     arc: np.ndarray
     cap_height: np.ndarray
     counts: np.ndarray
-    code: SkeletonCode
 
 
 # A directed edge of a face of the solid. alive: 0 cancelled, 1 free, 2 part of a ring.
@@ -140,12 +133,6 @@ class Ears(NamedTuple):
     quality: np.ndarray
 
 
-class MeshCode(NamedTuple):
-    """The same as :class:`SkeletonCode`, for :class:`MeshWork`."""
-
-    finish_solid: int
-
-
 class MeshWork(NamedTuple):
     """Arrays for faces, triangles and checks of one solid."""
 
@@ -177,7 +164,6 @@ class MeshWork(NamedTuple):
     hash_key: np.ndarray
     hash_half: np.ndarray
     corner: np.ndarray
-    code: MeshCode
 
 
 # Labels of the faces of a solid, one for every plane of roof, cap, wall, flat piece and ground: 0..num_edges-1 are roof

@@ -1,4 +1,4 @@
-"""How functions are compiled: a cache tied to all sources of the package, calls by address, one notice."""
+"""How functions are compiled: a cache tied to all sources of the package, one notice."""
 
 import gc
 import os
@@ -6,16 +6,11 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
-import pytest
 from numba import njit
 from numba.core import event
-from numba.core.errors import TypingError
 
 import p2wss.skeleton
-from p2wss.skeleton.compiled import address_of, by_address, entry, inner
 
 NOTICE = "compiling for this computer"
 
@@ -80,59 +75,6 @@ def test_no_folder_to_cache_in(tmp_path):
     for folder in (str(blocked), ""):
         result, log = run(tmp_path, NUMBA_CACHE_DIR=folder, **more)
         assert result == 2 and "set NUMBA_CACHE_DIR" in log
-
-
-class Code(NamedTuple):
-    total: int
-
-
-@inner
-def total(values, count):
-    result = 0.0
-    for k in range(count):
-        result += values[k]
-    return result, count
-
-
-total_at = by_address(total)
-
-
-def test_call_by_address() -> None:
-    code = Code(address_of(total, np.zeros(1), 1))
-    assert code == Code(address_of(total, np.zeros(1), 1))
-
-    @entry
-    def twice(code, values, count):
-        first, _ = total_at(code, values, 1)  # a literal is no other type
-        every, n = total_at(code, values, count)
-        return first, every, n
-
-    assert twice(code, np.arange(1.0, 5.0), 3) == (1.0, 6.0, 3)
-    assert len(total.signatures) == 1
-    with pytest.raises(TypingError, match="total is called by address with"):
-        twice(code, np.arange(4), 3)
-
-
-def test_an_exception_of_what_is_called_by_address() -> None:
-    @entry
-    def fail(value):
-        if value > 1.0:
-            raise ValueError("too much")
-        return value
-
-    fail_at = by_address(fail)
-
-    class Codes(NamedTuple):
-        fail: int
-
-    @entry
-    def outer(code, value):
-        return fail_at(code, value)
-
-    code = Codes(address_of(fail, 1.0))
-    assert outer(code, 0.5) == 0.5
-    with pytest.raises(ValueError, match="too much"):
-        outer(code, 2.0)
 
 
 def test_the_garbage_collector_rests_while_numba_compiles() -> None:
