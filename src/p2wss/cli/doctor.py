@@ -38,7 +38,9 @@ def doctor() -> None:
     state = "in the first run, up to a minute each: no folder can be written"
     if compiled is not None:
         state = (
-            "done" if compiled.exists() else "in the first run, up to a minute; p2wss warm-up does it ahead"
+            "all"
+            if compiled.exists()
+            else "not all: the rest once it is needed, or now by p2wss warm-up, in a minute"
         )
     rows = {
         "p2wss": f"{p2wss.__version__}, Python {platform.python_version()}, {platform.machine()}",
