@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +16,7 @@ from p2wss.fetch.cloud import write_cloud
 from p2wss.fetch.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
-
-log = logging.getLogger("p2wss")
+from p2wss.storage.log_lines import log
 
 
 class Fetched(NamedTuple):
