@@ -2,10 +2,10 @@
 
     python benchmarks/wheel.py
 
-Builds the wheel, installs it without extras, and runs ``p2wss demo``, ``p2wss view``, ``p2wss check``, ``p2wss config``,
-``p2wss workflow init`` and a stage of the pipeline in an empty folder. Needs a package index, or a warm cache of pip. Most of what is installed
-is llvmlite, pyarrow, scipy and two copies of GDAL. CPU time, which other work on the machine changes little; what is
-measured uses one core. The last line is JSON.
+Builds the wheel, installs it without extras, and runs ``p2wss demo``, ``p2wss view``, ``p2wss check``, ``config``
+and ``p2wss workflow init`` in an empty folder, and there a stage of the pipeline. Needs a package index, or a warm
+cache of pip. Most of what is installed is llvmlite, pyarrow, scipy and two copies of GDAL. CPU time, which other work
+on the machine changes little; what is measured uses one core. The last line is JSON.
 """
 
 from __future__ import annotations
