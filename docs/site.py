@@ -13,6 +13,7 @@ from mkdocs.structure.files import File
 
 import p2wss
 from p2wss import cli
+from p2wss.cli.parser import ALL_OPTIONS
 from p2wss.config.generate import default_yaml
 from p2wss.fetch.area import Fetched
 from p2wss.formats.validity import Validity
@@ -112,6 +113,7 @@ def _commands() -> str:
         command = cli.program.get_command(top, name)
         assert command is not None
         context = click.Context(command, info_name=name, parent=top, max_content_width=100)
+        context.meta[ALL_OPTIONS] = True
         parts.append(f"## {name}\n\n```text\n{command.get_help(context)}\n```\n")
         for part in command.list_commands(context) if isinstance(command, click.Group) else ():
             inner = command.get_command(context, part)

@@ -25,6 +25,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -254,7 +255,7 @@ def read_points(path: Path) -> None:
 # name of the good file: (the reader, the change to its structure)
 READERS: dict[str, tuple[Callable[[Path], Any], Callable[[Draw, Path], None]]] = {
     "manifest.json": (read_manifest_file, change_json),
-    "medians.json": (cases.read_medians, change_json),
+    "medians.json": (partial(files.read_json, kind=cases.Medians), change_json),
     "metrics.jsonl": (report.read_training, change_json_lines),
     "config.yaml": (load, change_yaml),
     "crops.parquet": (read_crops, damage_own_table),

@@ -102,7 +102,7 @@ def subcommand(words: list[str]) -> tuple[click.Command, list[str]]:
 
 def options(command: click.Command) -> set[str]:
     names = set(cli.program.context_settings["help_option_names"])
-    names.update(*(parameter.opts + parameter.secondary_opts for parameter in command.params))
+    names.update(*(each.opts + each.secondary_opts for each in command.get_params(click.Context(command))))
     if isinstance(command, click.Group):
         parts = [command.get_command(click.Context(command), name) for name in command.commands]
         names.update(*map(options, parts))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from p2wss.reconstruct.scene import Scene
 
 log = logging.getLogger("p2wss")
-# buildings to check that the end of a run names
+# buildings to check, and files of earlier runs, that the end of a run names
 NUM_NAMED = 5
 # of footprints without points, beyond which the cloud may be of another place
 MAX_BARE_SHARE = 0.05
@@ -100,7 +100,7 @@ clean_option = option(
     more=True,
     help="delete files in OUT that an earlier run of the same name wrote and this one does not",
 )
-crs_option = option("--crs", help="CRS of clouds that do not state it, such as EPSG:28992")
+crs_option = option("--crs", more=True, help="CRS of clouds that do not state it, such as EPSG:28992")
 clouds_argument = click.argument(
     "clouds",
     type=PATH,
@@ -160,15 +160,20 @@ def write_run(
     if left := {path: old[path] for path in sorted(old) if not (clean and _deleted(out, path, old[path]))}:
         files.write_json(written[-1], content | {"earlier": left})
         text = "warning: %s: of an earlier run, not of this one; --clean deletes what is unchanged: %s"
-        log.warning(text, out, ", ".join(left))
+        log.warning(text, out, _first(list(left)))
     if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
         log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
     if to_check := counts["to_check"]:
-        more = f" and {len(to_check) - NUM_NAMED} more" if len(to_check) > NUM_NAMED else ""
-        log.info("to check: %s%s", ", ".join(to_check[:NUM_NAMED]), more)
+        log.info("to check: %s", _first(to_check))
     pages = [path for path in written if path.suffix == ".html"]
     if pages:
         log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
+
+
+def _first(names: list[str]) -> str:
+    """The first names, and how many there are more."""
+    more = f" and {len(names) - NUM_NAMED} more" if len(names) > NUM_NAMED else ""
+    return ", ".join(names[:NUM_NAMED]) + more
 
 
 class _Files(TypedDict):

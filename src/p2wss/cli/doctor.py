@@ -24,6 +24,7 @@ COSTS = {
     "snakemake": "no pipeline",
     "slurm": "profiles/slurm cannot be used: snakemake says that --executor slurm is an invalid choice",
     "pdal": "fetch prepare cannot classify clouds that have no ground",
+    "nvidia-smi": "no GPU: training and the network run on the CPU",
     "roofer": "the evaluation uses recorded results of Roofer, or none",
 }
 _DISTRIBUTIONS = {"PIL": "pillow", "slurm": "snakemake-executor-plugin-slurm"}
@@ -38,7 +39,9 @@ def doctor() -> None:
     state = "in the first run, up to a minute each: no folder can be written"
     if compiled is not None:
         state = (
-            "done" if compiled.exists() else "in the first run, up to a minute; p2wss warm-up does it ahead"
+            "all"
+            if compiled.exists()
+            else "not all: the rest once it is needed, or now by p2wss warm-up, in a minute"
         )
     rows = {
         "p2wss": f"{p2wss.__version__}, Python {platform.python_version()}, {platform.machine()}",
@@ -53,7 +56,7 @@ def doctor() -> None:
         except PackageNotFoundError:
             needed = f"'p2wss[{EXTRAS[package]}]'" if package in EXTRAS else distribution
             rows[package] = f"missing: {COSTS[package]}; pip install {needed}"
-    for program in ("pdal", "roofer"):
+    for program in ("nvidia-smi", "pdal", "roofer"):
         rows[program] = shutil.which(program) or f"missing: {COSTS[program]}"
     for name, text in rows.items():
         print(f"{name:<16} {text}")

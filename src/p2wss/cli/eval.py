@@ -86,7 +86,11 @@ def eval_reconstruct(
         facts["model"] = {name: of_weights[name] for name in ("version", "code", "config", "dvae_config")}
     if method == "constant":
         stored = options["medians"]
-        medians = cases.train_medians(listed) if stored is None else cases.read_medians(stored)
+        medians = (
+            cases.train_medians(listed)
+            if stored is None
+            else files.read_json(stored, cases.Medians, "written by p2wss eval medians")
+        )
         inputs = inputs._replace(medians=medians)
         facts["note"] = f"{medians.eave_height_m:.3f} m, {medians.angle_deg:.1f} degrees"
     status: list[str] = []

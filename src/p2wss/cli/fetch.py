@@ -9,7 +9,7 @@ import click
 
 from p2wss.cli.common import bounds_of_tile, config_option, log, tile_option
 from p2wss.cli.parser import Group, Names, file_option, option
-from p2wss.config import TILE_LISTS, Config, load, section_json
+from p2wss.config import ALL, TILE_LISTS, Config, load, section_json
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.provenance import fingerprint
@@ -73,6 +73,8 @@ def fetch(
         config = load(yaml.safe_load(text))
     else:
         text, config = "", load(path)
+    if strangers := sorted(set(lidar) - {ALL, *plan.tiles(config)}):
+        raise InputError(f"--lidar: not a tile of the region: {', '.join(strangers)}")
     downloads = _downloads_folder(config)
     print(plan.format_estimates(config, plan.estimate_downloads(config)))
     if dry_run:

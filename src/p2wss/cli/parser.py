@@ -26,6 +26,31 @@ class Option(click.Option):
         super().__init__(names, multiple=options.pop("multiple", takes_list), **options)
         self.key, self.takes_list, self.more = key, takes_list, more
 
+    def process_value(self, ctx: click.Context, value: Any) -> Any:
+        """The value; the next option is none."""
+        if isinstance(value, str) and value.startswith("--"):
+            raise click.BadOptionUsage(self.opts[0], f"Option '{self.opts[0]}' requires an argument.", ctx)
+        return super().process_value(ctx, value)
+
+
+def _show_all(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value:
+        context.meta[ALL_OPTIONS] = True
+        click.echo(context.get_help())
+        context.exit()
+
+
+# of a context: its help has the options that are not for every day
+ALL_OPTIONS = "p2wss.all_options"
+_help_all = Option(
+    ["--help-all"],
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_all,
+    help="Show all options.",
+)
+
 
 class Command(click.Command):
     """A command, whose parameter ``config`` is the config of ``--config`` and of the options for its settings, over
@@ -45,10 +70,16 @@ class Command(click.Command):
             ctx.params["config"] = load(self.defaults, *ctx.params["config"], *stated)
         return rest
 
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The parameters; with --help-all where the help leaves out options."""
+        return super().get_params(ctx) + [_help_all] * any(
+            getattr(each, "more", False) for each in self.params
+        )
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options for every day before the others."""
+        """Write the options for every day, and with --help-all the others."""
         options = [option for option in self.get_params(ctx) if isinstance(option, click.Option)]
-        for title, more in (("Options", False), ("More options", True)):
+        for title, more in (("Options", False), ("More options", True))[: 1 + (ALL_OPTIONS in ctx.meta)]:
             chosen = [option for option in options if getattr(option, "more", False) == more]
             rows = [row for option in chosen if (row := option.get_help_record(ctx))]
             if rows:

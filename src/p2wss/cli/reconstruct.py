@@ -44,17 +44,10 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
     is_flag=True,
     help="omit FOOTPRINTS: derive outlines from the points",
 )
-@crs_option
 @setting("reconstruct.outputs", "--outputs", "--format", more=False, help="formats to write")
 @setting("reconstruct.detail", more=False, help="fewer triangles, or nearer to the points")
-@setting(
-    "reconstruct.registration", more=False, help="move footprints to where the points show the buildings"
-)
 @option("--terrain", type=PATH, help="raster of heights; meshes then stand on a block of terrain")
 @setting("reconstruct.skin", more=False, help="merge the buildings of a block into one mesh")
-@setting(
-    "reconstruct.vegetation", more=False, help="also write trees and clumps of plants, as closed volumes"
-)
 @option("--ids", type=Names(), help="reconstruct only the buildings of these ids")
 @option(
     "--bbox",
@@ -66,8 +59,11 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 @option("--name", help="name of the files, without ending (default: that of the first cloud)")
 @threads_option
 @log_options
-@clean_option
 @config_option
+@crs_option
+@setting("reconstruct.registration", help="move footprints to where the points show the buildings")
+@setting("reconstruct.vegetation", help="also write trees and clumps of plants, as closed volumes")
+@clean_option
 @option(
     "--model",
     type=PATH,
@@ -126,7 +122,7 @@ def reconstruct(
         )
     clouds, footprints = (list(inputs), None) if no_footprints else (list(inputs[:-1]), inputs[-1])
     if not clouds:
-        raise click.UsageError("FOOTPRINTS or CLOUD is missing", context)
+        raise click.UsageError("CLOUD, FOOTPRINTS or OUT is missing", context)
     files.check_stem(name or "")
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
     with importing():

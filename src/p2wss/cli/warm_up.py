@@ -17,7 +17,7 @@ from p2wss.storage.provenance import fingerprint
 @option("--jobs", type=click.IntRange(min=1), metavar="N", help="number of processes (default: one per core)")
 def warm_up(with_scans: bool, jobs: int | None) -> None:
     """Compile the code that p2wss reconstruct needs, once for this computer."""
-    jobs = jobs or _num_cores()
+    jobs = jobs or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
     from p2wss.reconstruct import warm_up as of_reconstruct
 
     marker = of_reconstruct.marker(with_scans)
@@ -39,7 +39,3 @@ def warm_up(with_scans: bool, jobs: int | None) -> None:
     log.info("compiled in %.0f s", time.monotonic() - start)
     if marker is not None:
         marker.touch()
-
-
-def _num_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +12,13 @@ import shapely
 
 from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
     from p2wss.data.terrain import Terrain
 
-log = logging.getLogger(__name__)
 # a transformation that is less accurate moves footprints visibly
 _ACCURATE_M = 0.5
 _SAME_PLACE_M = 1e-4

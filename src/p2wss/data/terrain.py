@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +14,11 @@ import scipy
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
     import rasterio
 
-log = logging.getLogger(__name__)
 # 20 km by 20 km at 0.5 m, 6.4 GB
 _MAX_CELLS = 1_600_000_000
 # no compression packs more cells into a byte of a file, except in small ones

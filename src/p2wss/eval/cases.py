@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -72,11 +71,6 @@ class Medians:
 
     eave_height_m: float
     angle_deg: float
-
-
-def read_medians(path: Path) -> Medians:
-    """Medians as JSON. Raises :class:`InputError` if the file is missing or something else."""
-    return files.read_json(path, Medians, "written by p2wss eval medians")
 
 
 def train_medians(manifest: Manifest) -> Medians:

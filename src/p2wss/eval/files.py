@@ -130,7 +130,7 @@ def _matched(
         elif (nearest := _most_overlapped(solid, footprints)) is not None:
             unknown[nearest].append(solid)
     for name, members in unknown.items():
-        matched.setdefault(name, _joined(members))
+        matched.setdefault(name, replace(members[0], mesh=Mesh.joined([each.mesh for each in members])))
     return matched
 
 
@@ -142,10 +142,6 @@ def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:
     touched = footprints.iloc[footprints.sindex.query(plan, predicate="intersects")]
     areas_m2 = touched.intersection(plan).area
     return None if not (areas_m2 > 0).any() else str(areas_m2.idxmax())
-
-
-def _joined(solids: Sequence[ReadSolid]) -> ReadSolid:
-    return replace(solids[0], mesh=Mesh.joined([solid.mesh for solid in solids]))
 
 
 def _measures(

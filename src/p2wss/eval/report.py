@@ -221,7 +221,8 @@ def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFra
         table1=frames["table1"].to_dict("records"),
         table2=frames["table2"]
         .set_index("Statistic")
-        .T.rename(columns=WORDS)
+        .T.dropna(how="all")
+        .rename(columns=WORDS)
         .rename_axis("Method")
         .reset_index(),
         comparisons=_comparisons(frames["table2_more"], titles(inputs.config)),
@@ -245,18 +246,20 @@ def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFra
 
 
 def _comparisons(more: pd.DataFrame, titles: Mapping[str, str]) -> dict[str, pd.DataFrame]:
-    """Per data set a row per method: means and the intervals of distances, CD last, the best in asterisks."""
+    """Per data set a row per method and a column per measure that has any value: means and the intervals of
+    distances, CD last, the best in asterisks."""
     by_measure = more.set_index("Measure")
     result = {}
     for title in titles.values():
-        of_dataset = by_measure.filter(regex=f"^{re.escape(title)} / ").dropna(axis="columns", how="all")
+        of_dataset = by_measure.filter(regex=f"^{re.escape(title)} / ")
+        of_dataset = of_dataset.loc[:, of_dataset.loc[[*LEAST]].notna().any()]
         if of_dataset.empty:
             continue
         table = pd.DataFrame({"Method": [str(name).removeprefix(f"{title} / ") for name in of_dataset]})
-        for measure in COMPARED:
+        for measure in of_dataset.loc[[*COMPARED]].dropna(how="all").index:
             values = of_dataset.loc[measure].to_numpy()
             texts = [_cell(value) for value in values]
-            if measure in LEAST and of_dataset.loc[measure].notna().any():
+            if measure in LEAST:
                 best = _cell(pd.Series(values, dtype=float).min())
                 bounds = (
                     of_dataset.loc[[f"{measure}, 95 % low", f"{measure}, 95 % high"]].map(_cell).to_numpy()
@@ -277,9 +280,9 @@ def _off(worst: pd.DataFrame, limit_m: float) -> pd.DataFrame:
 
 
 def _distances(group: pd.DataFrame) -> pd.DataFrame:
-    """The median distances of points to mesh of one property: a row per group, a column per method."""
+    """The median distances of points to mesh of one property: a row per group, a column per method that sees points."""
     wide = group.pivot_table("Median Points to mesh (m)", "Group", "Method", sort=False, observed=True)
-    return wide.reset_index()
+    return wide.drop(columns="Constant", errors="ignore").reset_index()
 
 
 def _cell(value: Any, digits: int = 2, unknown: str = "–") -> str:

@@ -6,7 +6,6 @@ cannot be run, CityJSON of an earlier run may replace it.
 
 from __future__ import annotations
 
-import logging
 import shlex
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,10 +27,10 @@ from p2wss.eval.cases import Case
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.storage import files
+from p2wss.storage.log_lines import log
 from p2wss.storage.schemas.crops import REAL
 from p2wss.storage.temporary import temporary_folder
 
-log = logging.getLogger("p2wss")
 METHOD = "roofer"
 _ID_FIELD = "building_id"
 # recorded outputs count where this share of the points that they were made from is there: footprints that move by

@@ -26,8 +26,6 @@ METHOD_NAMES = {
     "lod1": "LoD1 (flat)",
     "constant": "Constant",
 }
-DATASETS = (SIMULATED, REAL)
-RECORDED = "recorded"
 
 # Queffelec et al., Point2WSS, Table 1: MAE and standard deviation
 PAPER_TABLE_1 = {"Height (m)": (0.23, 0.9), "Angles (°)": (2.34, 5.35), "Footprint (m)": (0.41, 0.93)}
@@ -172,8 +170,8 @@ def table_2(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str])
     method."""
     columns: dict[str, Any] = {"Statistic": ROWS_2}
     is_compared = compared(frame)
-    for dataset in DATASETS:
-        columns |= PAPER_TABLE_2[dataset]
+    for dataset, of_paper in PAPER_TABLE_2.items():
+        columns |= of_paper
         for run in ordered(runs):
             is_of = (frame["dataset"] == dataset) & (frame["method"] == run.method)
             rows = frame[is_of & is_compared]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +16,7 @@ from p2wss.fetch.cloud import write_cloud
 from p2wss.fetch.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
-
-log = logging.getLogger("p2wss")
+from p2wss.storage.log_lines import log
 
 
 class Fetched(NamedTuple):
@@ -71,15 +69,14 @@ def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
 
 def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:
     """A box in metres of a projected CRS, from one in it or in degrees of longitude and latitude, as which no box in
-    metres can pass that is not at the origin of the CRS. Raises :class:`InputError` for one that is neither."""
-    if max(map(abs, bbox[::2])) > 180 or max(map(abs, bbox[1::2])) > 90:
-        return bounds_in_region(bbox, crs, crs)
+    metres can pass that is not at the origin of the CRS. Raises :class:`InputError` for one that is neither, or where
+    the CRS is not used."""
+    in_metres = max(map(abs, bbox[::2])) > 180 or max(map(abs, bbox[1::2])) > 90
+    unit, stated = ("metres", crs) if in_metres else ("degrees (longitude, latitude)", "EPSG:4326")
     area = pyproj.CRS.from_user_input(crs).area_of_use
-    if area is not None and not are_near(area.bounds, bbox, 0):
-        raise InputError(
-            f"{_text(bbox)}: degrees (longitude, latitude) outside {area.name}, where {crs} is used"
-        )
-    return bounds_in_region(bbox, "EPSG:4326", crs)
+    if area is not None and not are_near(area.bounds, bounds_in_region(bbox, stated, "EPSG:4326"), 0):
+        raise InputError(f"{_text(bbox)}: {unit} outside {area.name}, where {crs} is used")
+    return bounds_in_region(bbox, stated, crs)
 
 
 def bounds_around(place: str, radius_m: float, crs: str) -> Bounds:
@@ -92,7 +89,7 @@ def bounds_around(place: str, radius_m: float, crs: str) -> Bounds:
     if abs(x) <= 90 and abs(y) <= 180:
         west, south, east, north = bounds_of_bbox((y - 1e-9, x - 1e-9, y + 1e-9, x + 1e-9), crs)
         x, y = (west + east) / 2, (south + north) / 2
-    return grown((x, y, x, y), radius_m)
+    return bounds_of_bbox(grown((x, y, x, y), radius_m), crs)
 
 
 def _text(bounds: Bounds) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
@@ -28,8 +27,7 @@ from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_
 from p2wss.fetch.cloud import read_header
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_files import bounds_of
-
-log = logging.getLogger(__name__)
+from p2wss.storage.log_lines import log
 
 
 class FolderSource:

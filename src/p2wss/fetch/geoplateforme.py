@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import re
 import warnings
 from dataclasses import dataclass
@@ -29,8 +28,8 @@ from p2wss.fetch.cloud import append_checksum, check_cloud
 from p2wss.fetch.http import Client, NotFoundError, quote
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.log_lines import log
 
-log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import random
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -16,9 +15,9 @@ import tenacity
 
 from p2wss.config import Geoplateforme
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 from p2wss.storage.progress import Progress
 
-log = logging.getLogger(__name__)
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
 _NOT_FOUND = {404, 410}
 _LONGEST_PAUSE_S = 60.0

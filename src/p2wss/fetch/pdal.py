@@ -175,10 +175,9 @@ def run(
 
 
 def _call(command: list[str], folder: Path, timeout_s: float) -> str:
-    process = subprocess.run(
+    return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=timeout_s, check=True
-    )
-    return process.stdout
+    ).stdout
 
 
 def _crop(bounds: Bounds) -> Stage:

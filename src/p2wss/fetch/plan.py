@@ -48,7 +48,7 @@ def estimate_downloads(config: Config, terrain: Sequence[Bounds] | None = None) 
     counts = [_BUILDINGS_PER_KM2 * (w[2] - w[0]) * (w[3] - w[1]) / 1e6 for w in windows]
     pages = sum(max(1, math.ceil(count / settings.page_size)) for count in counts)
     if terrain is None:
-        terrain = [_bounds(config, tile, fetch.margin_m) for tile in tiles(config)]
+        terrain = [tile_bounds(tile, region.tile_size_m, fetch.margin_m) for tile in tiles(config)]
     maps = [request for window in terrain for request in source.map_requests(window)]
     terrain_mb = sum(4 * m.rows * m.columns for m in maps) / 1e6
     num_clouds = len(lidar_tiles(config))
@@ -110,10 +110,10 @@ def download(config: Config, downloads: Path, log: logging.Logger) -> None:
     source = open_source(region, fetch, downloads)
     log.info(f"{len(source.footprints(grown(region.bounds_m, fetch.margin_m)))} buildings")
     for number, tile in enumerate(names := tiles(config)):
-        source.dtm(_bounds(config, tile, fetch.margin_m))
+        source.dtm(tile_bounds(tile, region.tile_size_m, fetch.margin_m))
         log.info(f"terrain: {number + 1} of {len(names)} tiles")
     for number, tile in enumerate(names := lidar_tiles(config)):
-        source.lidar(_bounds(config, tile))
+        source.lidar(tile_bounds(tile, region.tile_size_m))
         log.info(f"LiDAR: {number + 1} of {len(names)} tiles")
 
 
@@ -138,7 +138,3 @@ def region_yaml(name: str, bbox: Sequence[float], vintage: str, crs: str, lidar_
     head = f"# {name}: {(x_max - x_min) * (y_max - y_min) / 1e6:g} km2\n"
     head += f"# snakemake eval_report --configfile config/regions/{name}.yaml\n"
     return head + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-
-
-def _bounds(config: Config, tile: str, margin_m: float = 0.0) -> Bounds:
-    return tile_bounds(tile, config.region.tile_size_m, margin_m)

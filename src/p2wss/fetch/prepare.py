@@ -6,7 +6,6 @@ Classified clouds only need cropping, which laspy does. In unclassified clouds, 
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,8 @@ from p2wss.data.las_classes import GROUND_CLASS
 from p2wss.fetch import pdal
 from p2wss.fetch.cloud import check_cloud, count_classes, read_header, write_cloud
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 
-log = logging.getLogger(__name__)
 HOW_TO_INSTALL_PDAL = (
     "install it with conda (envs/pdal.yaml, or snakemake --sdm conda), Docker or your distribution, and "
     "set fetch.prepare.pdal_command if the command is not pdal"

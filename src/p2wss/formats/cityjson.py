@@ -98,13 +98,9 @@ def _objects(solids: Iterable[Solid], metadata: Metadata) -> Iterator[dict[str, 
         yield _feature(solid, translate, metadata)
 
 
-def document(solids: Iterable[Solid], metadata: Metadata) -> str:
-    """The same content as :func:`lines`, as a single CityJSON object."""
-    return "".join(document_pieces(solids, metadata))
-
-
 def document_pieces(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
-    """The text of :func:`document`, building by building. In memory are only the coordinates, as text."""
+    """The same content as :func:`lines` as the text of a single CityJSON object, building by building. In memory are
+    only the coordinates, as text."""
     objects = _objects(solids, metadata)
     city = next(objects)
     stated = city.pop("metadata", None)

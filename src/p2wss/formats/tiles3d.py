@@ -57,16 +57,12 @@ def tileset_files(
     files: dict[str, bytes] = {}
     root = _tile(buildings, "0", max_meshes, files) if buildings else None
     tile: dict[str, Any] = {"children": [root.tile]} if root is not None else {}
-    low, high = np.zeros(3), np.zeros(3)
-    if root is not None:
-        low, high = root.low_m, root.high_m
+    bounds = [(root.low_m, root.high_m)] if root is not None else []
     if terrains:
-        content, terrain_low, terrain_high = _content(terrains, np.zeros(3))
-        files["content/terrain.glb"] = content
+        files["content/terrain.glb"], low_m, high_m = _content(terrains, np.zeros(3))
         tile["content"] = {"uri": "content/terrain.glb"}
-        empty = root is None
-        low = terrain_low if empty else np.minimum(low, terrain_low)
-        high = terrain_high if empty else np.maximum(high, terrain_high)
+        bounds.append((low_m, high_m))
+    low, high = (f(bounds or np.zeros((1, 2, 3)), axis=(0, 1)) for f in (np.min, np.max))
     error_m = float(np.linalg.norm(high - low))
     tileset = {
         "asset": {

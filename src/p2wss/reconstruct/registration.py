@@ -145,7 +145,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, l
 def summary(registrations: Iterable[Registration | None]) -> str:
     """One line: how many footprints were moved, and which the cloud contradicts; None counts as without evidence.
 
-    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 not moved with evidence, 0 without evidence;
+    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 in place, 0 without evidence;
     extended: 6``
     """
     length_m: list[float] = []
@@ -162,7 +162,7 @@ def summary(registrations: Iterable[Registration | None]) -> str:
     if length_m:
         text += f", {min(length_m):.2f} to {max(length_m):.2f} m"
     num_others = num_rows - len(length_m) - num_without
-    text += f"; {num_others} not moved with evidence, {num_without} without evidence"
+    text += f"; {num_others} in place, {num_without} without evidence"
     return text + "".join(f"; {name}: {count}" for name, count in sorted(flags.items()))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +13,8 @@ import pyproj
 
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
+from p2wss.storage.log_lines import log
 
-log = logging.getLogger("p2wss")
 # GeoTIFF keys
 _GEOGRAPHIC_CRS, _PROJECTED_CRS = 2048, 3072
 # the phrase of messages

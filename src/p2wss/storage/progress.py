@@ -35,7 +35,9 @@ class Progress:
     ) -> None:
         self.title, self.total, self.unit, self.initial = title, total, unit, initial
         self._report, self._clock = report, clock
-        self._started_at = self._reported_at = clock()
+        self._reported_at = clock()
+        # when the first items were done, and how many: what is before, such as compilation, says nothing of the others
+        self._first: tuple[int, float] | None = None
         self._contexts = ExitStack()
         self._bar: Any = None
 
@@ -68,11 +70,13 @@ class Progress:
             self._bar.update(num_done - self._bar.n)
             return
         now = self._clock()
+        first, at = self._first = self._first or (num_done, now)
         if now - self._reported_at < INTERVAL_S or num_done >= self.total:
             return
         self._reported_at = now
-        per_s = (num_done - self.initial) / (now - self._started_at)
-        left = f", about {_duration((self.total - num_done) / per_s)} left" if per_s > 0 else ""
+        left = ""
+        if num_done > first:
+            left = f", about {_duration((self.total - num_done) * (now - at) / (num_done - first))} left"
         self._report(
             f"{self.title}: {num_done} of {self.total} {self.unit}{left}" + (f", {note}" if note else "")
         )

@@ -30,6 +30,7 @@ LIBRARIES = ("embreex", "manifold3d", "numba", "numpy", "scipy", "shapely", "tor
 # of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
 _NOT_CODE = ("ctx", "kind", "type_comment")
 
+_THIS_FILE = Path(__file__).read_bytes()
 _ROOT = Path(__file__).resolve().parents[1]
 # below the package: what counts of its modules, by their names
 _KEPT = "__pycache__/fingerprints.json"
@@ -115,7 +116,7 @@ def _read(name: str, known: Module | None) -> Module:
     path = _source(name)
     assert path is not None
     source = path.read_bytes()
-    version = blake2b(source + _this_file(), digest_size=16).hexdigest()
+    version = blake2b(source + _THIS_FILE, digest_size=16).hexdigest()
     if known is not None and known.version == version:
         return known
     tree = ast.parse(source)
@@ -123,11 +124,6 @@ def _read(name: str, known: Module | None) -> Module:
     _write(tree, code)
     digest = blake2b("".join(code).encode(), digest_size=16).hexdigest()
     return Module(version, digest, _inside(tree))
-
-
-@cache
-def _this_file() -> bytes:
-    return Path(__file__).read_bytes()
 
 
 def _parts(name: str) -> list[str]:

@@ -89,6 +89,7 @@ def test_options_stand_anywhere_among_the_paths(place: Path) -> None:
         (["reconstrct"], "No such command 'reconstrct'. Did you mean 'reconstruct'?"),
         (["crops", "reel"], "No such command 'reel'. Did you mean 'real'?"),
         (["crops", "manifest", "--real", "a"], "Missing option '--out'. (see p2wss crops manifest --help)"),
+        (["reconstruct", "a", "b", "c", "--crs", "--skin"], "Option '--crs' requires an argument."),
         (["inspect", "@none"], "@none: not a readable list of arguments"),
     ],
 )  # fmt: skip
@@ -114,6 +115,19 @@ def test_help_is_no_error(words: list[str], capsys: pytest.CaptureFixture[str]) 
     assert run(*words) == 0
     printed = capsys.readouterr()
     assert printed.out.startswith("Usage: p2wss") and not printed.err
+
+
+def test_the_options_for_every_day_fit_one_screen_and_all_are_shown_on_request(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("reconstruct", "--help") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 40 and not any("--wedges" in line for line in lines)
+    assert run("reconstruct", "--help-all") == 0
+    every = capsys.readouterr().out
+    assert "More options:" in every and "--wedges" in every and "--outputs" in every
+    assert run("check", "--help") == 0
+    assert "--help-all" not in capsys.readouterr().out
 
 
 def test_every_command_is_described_as_it_describes_itself() -> None:

@@ -26,7 +26,7 @@ def city(tmp_path: Path) -> Path:
         for name, x in (("a", 0), ("b", 20))
     ]
     path = tmp_path / "city.city.json"
-    path.write_text(cityjson.document(solids, cityjson.Metadata(2154)))
+    path.write_text("".join(cityjson.document_pieces(solids, cityjson.Metadata(2154))))
     return path
 
 
@@ -74,7 +74,7 @@ def test_a_sequence_is_read_too(city: Path, tmp_path: Path, capsys: pytest.Captu
 
 def test_files_without_solids_are_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "empty.json"
-    path.write_text(cityjson.document([], cityjson.Metadata(2154)))
+    path.write_text("".join(cityjson.document_pieces([], cityjson.Metadata(2154))))
     assert cli.main(["check", str(path)]) == 2
     assert "has no solids" in capsys.readouterr().err
     assert cli.main(["check", str(tmp_path / "missing")]) == 2

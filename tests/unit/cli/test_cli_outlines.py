@@ -33,7 +33,7 @@ def test_reconstruct_without_footprints(place: Path, where: str) -> None:
 
 def test_footprints_are_still_required(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["reconstruct", str(place / "cloud.laz"), str(place / "out")]) == 2
-    assert "FOOTPRINTS or CLOUD is missing" in capsys.readouterr().err
+    assert "CLOUD, FOOTPRINTS or OUT is missing" in capsys.readouterr().err
     assert main(["reconstruct", str(place / "out"), "--no-footprints"]) == 2
     assert "Missing argument 'CLOUD .. FOOTPRINTS'" in capsys.readouterr().err
 

@@ -83,7 +83,11 @@ def test_files_that_an_earlier_run_left_are_named(
         assert "not of this one; --clean deletes what is unchanged: lidar.glb, lidar.gpkg" in caplog.text
         caplog.clear()
         assert run(demo, tmp_path, "--ids", one) == 0
-    assert "lidar.glb, lidar.gpkg" in caplog.text
+        assert "lidar.glb, lidar.gpkg" in caplog.text
+        assert run(demo, tmp_path, "--ids", one, "--outputs", "sionna,obj") == 0
+        caplog.clear()
+        assert run(demo, tmp_path, "--ids", one) == 0
+    assert caplog.text.endswith(".ply and 2 more\n")
 
 
 def test_clean_deletes_what_earlier_runs_wrote_and_nothing_else(

@@ -100,6 +100,8 @@ def test_without_network_one_line_names_the_files_to_give(
         (["--around", "2.35 48.85"], "degrees (longitude, latitude) outside France"),
         (["--bbox", "48.85", "2.35", "48.86", "2.36"], "degrees (longitude, latitude) outside France"),
         (["--bbox", "653000", "6861000", "652000", "6862000"], "is empty"),
+        (["--bbox", "0", "0", "1000", "1000"], "metres outside France"),
+        (["--around", "0 1000"], "metres outside France"),
     ],
 )
 def test_a_place_that_cannot_be_meant_is_refused(

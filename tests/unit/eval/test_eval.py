@@ -483,3 +483,14 @@ def test_manifest_that_names_a_missing_shard_is_one_clear_line(tmp_path: Path) -
     path.write_text("[]")
     with pytest.raises(InputError, match="not a manifest"):
         read_manifest(path)
+
+
+def test_the_comparison_leaves_out_methods_and_measures_without_a_value_and_marks_the_best() -> None:
+    rows = [*report.COMPARED, *(f"{name}, 95 % {end}" for name in report.LEAST for end in ("low", "high"))]
+    more = pd.DataFrame({"Measure": rows, "Real / A": 1.0, "Real / B": 2.0, "Real / C": np.nan})
+    more.loc[more["Measure"].str.contains("roof edges"), ["Real / A", "Real / B"]] = np.nan
+    more.loc[more["Measure"] == "Buildings", "Real / C"] = 5.0
+    (table,) = report._comparisons(more, {"simulated": "Simulated", "real": "Real"}).values()
+    assert list(table["Method"]) == ["A", "B"]
+    assert list(table) == ["Method", *(name for name in report.COMPARED if "roof edges" not in name)]
+    assert list(table["CD (m)"]) == ["*1.00 (1.00 to 1.00)*", "2.00 (2.00 to 2.00)"]

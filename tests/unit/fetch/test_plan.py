@@ -135,4 +135,7 @@ def test_an_existing_region_is_not_overwritten(
     assert main(["fetch", "--region", "x", *bbox]) == 2
     assert "already exists; choose another name" in capsys.readouterr().err
     assert path.read_text() == "region: {name: x}\n"
+    for tile in ("paris", "0653_6862"):
+        assert main(["fetch", "--region", "y", *bbox, "--lidar", f"0652_6862,{tile}"]) == 2
+        assert f"--lidar: not a tile of the region: {tile}\n" in capsys.readouterr().err
     assert main(["fetch", "--dry-run"]) == 2 and "give --region NAME" in capsys.readouterr().err

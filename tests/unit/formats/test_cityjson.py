@@ -174,7 +174,7 @@ def test_both_forms_follow_the_rules(tmp_path: Path) -> None:
     solids = [solid_of(name)[0] for name in CASES]
     solids.append(Solid("none", np.zeros((0, 3)), [], {"status": "none"}))
     sequence = [json.loads(line) for line in cityjson.lines(solids, cityjson.Metadata(2154))]
-    document = json.loads(cityjson.document(solids, cityjson.Metadata(2154)))
+    document = json.loads("".join(cityjson.document_pieces(solids, cityjson.Metadata(2154))))
     assert cityjson_rules.assert_sequence(sequence) == cityjson_rules.assert_document(document) == len(CASES)
     path = tmp_path / "a.city.json"
     path.write_text(json.dumps(document))
@@ -194,13 +194,17 @@ def test_a_vertex_within_a_face_is_not_stored() -> None:
     kind = np.array([3] * 4 + [0] * 2 + [1] * 8)
     edge = np.array([-1] * 6 + [0, 1, 2, 3] * 2)
     surfaces = Mesh(vertex, np.array(triangle), kind, edge).surfaces
-    document = json.loads(cityjson.document([Solid("a", vertex, surfaces)], cityjson.Metadata(2154)))
+    document = json.loads(
+        "".join(cityjson.document_pieces([Solid("a", vertex, surfaces)], cityjson.Metadata(2154)))
+    )
     assert len(document["vertices"]) == 8 and cityjson_rules.assert_document(document) == 1
 
 
 def test_the_rules_detect_errors() -> None:
     def broken(change: str) -> dict[str, Any]:
-        document = json.loads(cityjson.document([solid_of("gables")[0]], cityjson.Metadata(2154)))
+        document = json.loads(
+            "".join(cityjson.document_pieces([solid_of("gables")[0]], cityjson.Metadata(2154)))
+        )
         geometry = document["CityObjects"]["gables"]["geometry"][0]
         shell = geometry["boundaries"][0]
         if change == "open":
@@ -225,7 +229,7 @@ def test_cjio_reads_both_forms(tmp_path: Path) -> None:
     pytest.importorskip("cjio")
     solids = [solid_of(name)[0] for name in CASES]
     path = tmp_path / "a.city.json"
-    path.write_text(cityjson.document(solids, cityjson.Metadata(2154)))
+    path.write_text("".join(cityjson.document_pieces(solids, cityjson.Metadata(2154))))
 
     def cjio(*arguments: str, stdin: str | None = None) -> str:
         command = [sys.executable, "-c", "from cjio.cjio import cli; cli()", *arguments]

@@ -25,12 +25,17 @@ def test_a_log_gets_a_line_every_two_seconds() -> None:
     ]
 
 
-def test_what_was_done_before_does_not_count_for_the_time_left() -> None:
+def test_what_was_before_the_first_items_does_not_count_for_the_time_left() -> None:
     now, lines = [0.0], []
     with Progress("training", 1000, "steps", 400, report=lines.append, clock=lambda: now[0]) as progress:
         now[0] += 60
+        progress.update(450)
+        now[0] += 6
         progress.update(500, "loss 0.25")
-    assert lines == ["training: 500 of 1000 steps, about 5 min left, loss 0.25"]
+    assert lines == [
+        "training: 450 of 1000 steps",
+        "training: 500 of 1000 steps, about 60 s left, loss 0.25",
+    ]
 
 
 class Terminal(io.StringIO):
