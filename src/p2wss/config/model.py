@@ -73,7 +73,8 @@ class LossWeights(Section):
 class Decoding(Section):
     """How the probabilities of digits are turned into values. The paper: argmax, all, 1, 0."""
 
-    neutral: ClassVar = {"num_refinements": 0}
+    # trainings do not depend on it
+    neutral: ClassVar = {"num_refinements": 1}
     mode: Literal["argmax", "median"] = Field(
         "median",
         description="argmax = the most likely digit at each position; median = the median of the joint "
@@ -86,7 +87,7 @@ class Decoding(Section):
         4, ge=1, le=64, description="number of rotated views of a building whose probabilities are averaged"
     )
     num_refinements: int = Field(
-        0,
+        1,
         ge=0,
         description="with all digits masked, how often the predicted footprint is given to the network again: "
         "the last time for height and angles, before that for better coordinates",

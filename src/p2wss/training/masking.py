@@ -48,24 +48,21 @@ def mask_parameters(
     and a ratio of (0.3, 0.3).
     """
     kind = tokenizer.kinds(tokens.shape, parameters.num_vertices)
-    device = kind.device
-    draw = torch.rand(len(kind), 1, device=device)
+    shares = torch.tensor([settings.inference_share, settings.table1_share, settings.disturbed_share])
+    pattern = torch.searchsorted(
+        shares.cumsum(0).to(kind.device), torch.rand(len(kind), 1, device=kind.device), right=True
+    )
     low, high = settings.random_ratio
-    ratio = low + (high - low) * torch.rand(len(kind), 1, device=device)
-    random = torch.rand(kind.shape, device=device) < ratio
+    ratio = low + (high - low) * torch.rand(len(kind), 1, device=kind.device)
+    random = torch.rand(kind.shape, device=kind.device) < ratio
     random &= (kind != KIND_PAD) & (kind != KIND_FRAME)
-    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
-    is_coordinate = kind == KIND_COORDINATE
-    table1_from = settings.inference_share
-    disturbed_from = table1_from + settings.table1_share
-    random_from = disturbed_from + settings.disturbed_share
-    wanted = torch.where(draw < random_from, targets | is_coordinate, random)
-    wanted = torch.where(draw < table1_from, targets, wanted)
+    is_coordinate = (kind == KIND_COORDINATE) & (pattern > 0)
+    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE) | is_coordinate
+    wanted = torch.where(pattern < len(shares), targets, random)
     given = tokens.masked_fill(wanted, MASK)
     if settings.disturbed_share:
         misplaced = tokenizer.encode(disturb(parameters, tokenizer, settings.disturbance_m))
-        is_disturbed = (draw >= disturbed_from) & (draw < random_from)
-        given = torch.where(is_disturbed & is_coordinate, misplaced, given)
+        given = torch.where((pattern == 2) & is_coordinate, misplaced, given)
     return given, wanted
 
 
