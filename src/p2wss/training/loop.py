@@ -103,12 +103,12 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
 def training_config(config: Section) -> dict[str, Any]:
     """The config without the settings that may differ between a run and the one that resumes it.
 
-    How many steps a checkpoint was made for is compared by :meth:`TrainingState.resume`.
+    For how many steps a checkpoint was made is compared by :meth:`TrainingState.resume`.
     """
     exclude: Any = {
         "compute": {"device", "num_gpus"},
-        "optimiser": {"num_steps"},
-        **dict.fromkeys(("checkpoint_every_steps", "num_validation", "start"), True),
+        "optimiser": {"num_steps", "ramp_steps"},
+        **dict.fromkeys(("checkpoint_every_steps", "decoding", "num_validation", "start"), True),
     }
     return config.model_dump(mode="json", exclude=exclude, context=IDENTITY)
 

@@ -69,7 +69,7 @@ class TrainingState:
         files.write_text(folder / METRICS_NAME, "".join(json.dumps(line) + "\n" for line in self.metrics))
         checkpoint = {name: part.state_dict() for name, part in self._parts().items()}
         checkpoint |= {"step": step, "identity": _text(identity), "metrics": self.metrics}
-        checkpoint |= {"num_steps": self.settings.num_steps}
+        checkpoint |= {"length": _length(self.settings)}
         # through memory, because torch reports a full disk as some RuntimeError
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
@@ -83,7 +83,7 @@ class TrainingState:
         """Load the latest readable checkpoint of this ``identity`` and return its step; without one, return 0
         and remove the checkpoints of anything else.
 
-        A training of another length is continued from a step up to which both have the same learning rates.
+        A training of another length is continued from a step before the learning rate of either begins to fall.
         """
         for step, path in sorted(_checkpoints(folder).items(), reverse=True):
             if not integrity.is_usable(path):
@@ -99,9 +99,9 @@ class TrainingState:
                     "%s: belongs to another configuration or data set; starting from the beginning", folder
                 )
                 break
-            lengths = {checkpoint["num_steps"], self.settings.num_steps}
-            if len(lengths) > 1 and step > num_steady_steps(self.settings, min(lengths)):
-                log.warning("%s: made for %d steps; trying the previous one", path, checkpoint["num_steps"])
+            old, new = checkpoint["length"], _length(self.settings)
+            if old != new and step > min(old["num_steady_steps"], new["num_steady_steps"]):
+                log.warning("%s: made for %d steps; trying the previous one", path, old["num_steps"])
                 continue
             for name, part in self._parts().items():
                 part.load_state_dict(checkpoint[name])
@@ -119,13 +119,10 @@ class TrainingState:
         return parts if self.averaged is None else parts | {"averaged": self.averaged}
 
 
-def num_steady_steps(settings: Optimiser, num_steps: int | None = None) -> int:
-    """After how many steps the learning rate begins to depend on the length of the training: 0 for a cosine decay.
-
-    num_steps: the length, if it is not that of the settings.
-    """
-    ramp_steps = settings.ramp_steps
-    return max((num_steps or settings.num_steps) - ramp_steps, 0) if ramp_steps else 0
+def num_steady_steps(settings: Optimiser) -> int:
+    """After how many steps the learning rate begins to fall; 0 for a cosine decay, of which it follows the whole
+    length."""
+    return max(settings.num_steps - settings.ramp_steps, 0) if settings.ramp_steps else 0
 
 
 def learning_rate(step: int, settings: Optimiser) -> float:
@@ -147,6 +144,10 @@ def remove_checkpoints(checkpoints: Path) -> None:
         path.unlink(missing_ok=True)
     if checkpoints.is_dir() and not any(checkpoints.iterdir()):
         checkpoints.rmdir()
+
+
+def _length(settings: Optimiser) -> dict[str, int]:
+    return {"num_steps": settings.num_steps, "num_steady_steps": num_steady_steps(settings)}
 
 
 def _text(identity: dict[str, Any]) -> str:

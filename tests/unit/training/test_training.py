@@ -182,6 +182,14 @@ def test_a_training_with_a_constant_rate_can_be_extended(tmp_path: Path, longer:
     assert all(torch.equal(expected[name], extended[name]) for name in expected)
 
 
+def test_another_decay_continues_before_either(tmp_path: Path) -> None:
+    run(tmp_path, Line(), ramp_steps=8)
+    run(tmp_path, Line(), ramp_steps=20, num_steps=80)
+    records = [json.loads(line) for line in read_metrics(tmp_path).splitlines()]
+    rates = {record["step"]: record["learning_rate"] for record in records if "learning_rate" in record}
+    assert rates[52] == rates[60] == 0.05 and rates[80] == pytest.approx(0.05 / 20)
+
+
 def test_a_cosine_decay_cannot_be_extended(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     run(tmp_path / "one", Line())
     extended = run(tmp_path / "one", Line(), num_steps=80)
