@@ -2,6 +2,7 @@
 
     python benchmarks/few_points.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model models/point2wss.safetensors       # also the network, and parametric roofs that start from it
+    .. --densities      # so many points per square metre, for the curve of docs/img/density.py
 
 So many points of each house of Delft are drawn, and as large a share of the points beside it, three times; the judge
 measures against all points. Half A of the houses (every second by id) chose the settings, half B decided nothing.
@@ -29,6 +30,8 @@ from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
 
 _NUM_DRAWS = 3
+# points per square metre of the footprint; with 20, nearly all houses have all their points, 14 (median)
+DENSITIES = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 # points on each building, or the share of them: (points to mesh, roof CD) in metres that half B must reach
 BARS: dict[float, tuple[float, float]] = {
     80: (0.133, 0.240),
@@ -40,10 +43,12 @@ BARS: dict[float, tuple[float, float]] = {
 }
 
 
-def thinned(building: Building, amount: float, draw: int) -> Building:
-    """A building with ``amount`` points of class building, or that share of them, and a like share of the others."""
+def thinned(building: Building, amount: float, draw: int, per_m2: bool = False) -> Building:
+    """A building with ``amount`` points of class building, or that share of them, or so many per square metre, and a
+    like share of the others."""
     on_building = np.flatnonzero(building.classification == BUILDING_CLASS)
-    count = min(len(on_building), round(amount if amount >= 1 else amount * len(on_building)))
+    unit = building.polygon.area if per_m2 else 1.0 if amount >= 1 else len(on_building)
+    count = min(len(on_building), round(amount * unit))
     rng = np.random.default_rng([draw, *building.building_id.encode()])
     others = np.setdiff1d(np.arange(len(building.point_m)), on_building)
     chosen = rng.choice(on_building, count, replace=False)
@@ -68,9 +73,11 @@ def with_roofs_around(buildings: list[Building]) -> list[Building]:
 
 
 def fits_of(
-    buildings: list[Building], config: Reconstruct, predictor: Any
+    buildings: list[Building], config: Reconstruct, predictor: Any, only_default: bool
 ) -> dict[str, list[Reconstruction]]:
     """Reconstructions by each method."""
+    if only_default:
+        return {"default": with_fallback(fitting.fit(buildings, config), buildings, config)}
     parametric = config.model_copy(update={"roofs": "parametric"})
     alone = [replace(each, around_m=np.zeros((0, 3))) for each in buildings]
     fits = {"default": fitting.fit(buildings, config), "alone": fitting.fit(alone, config)}
@@ -86,6 +93,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--judge", type=Path, required=True)
     parser.add_argument("--model", type=Path, default=None, help="weights of a network")
+    parser.add_argument("--densities", action="store_true", help="points per square metre, for the curve")
     arguments = parser.parse_args()
     config, predictor = Config().reconstruct, None
     if arguments.model is not None:
@@ -96,11 +104,12 @@ def main() -> int:
     buildings = real.read(arguments.data, "delft", Config())
     half_b = set(sorted(building.building_id for building in buildings)[1::2])
     print("points".ljust(8) + "method".ljust(22) + "half A, half B: points to mesh/roof CD/triangles")
-    for amount, (p2m, roof) in BARS.items():
+    per_m2 = arguments.densities
+    for amount in DENSITIES if per_m2 else BARS:
         rows: dict[str, list[dict[str, Any]]] = {}
         for draw in range(_NUM_DRAWS):
-            few = with_roofs_around([thinned(building, amount, draw) for building in buildings])
-            for method, fits in fits_of(few, config, predictor).items():
+            few = with_roofs_around([thinned(building, amount, draw, per_m2) for building in buildings])
+            for method, fits in fits_of(few, config, predictor, per_m2).items():
                 rows.setdefault(method, []).extend(real.judged(fits, "delft", arguments))
         for method, every in rows.items():
             halves = [
@@ -109,8 +118,10 @@ def main() -> int:
             ]
             values = "  ".join(f"{half['p2m']:.3f}/{half['roof']:.3f}/{half['tri']:.0f}" for half in halves)
             print(f"{amount:<8g}{method:<22}{values}", flush=True)
-            figures.row(f"{amount:g}, {method}", {"half A": halves[0], "half B": halves[1]})
-            if method == "default":
+            unit = " per m²" if per_m2 else ""
+            figures.row(f"{amount:g}{unit}, {method}", {"half A": halves[0], "half B": halves[1]})
+            if method == "default" and not per_m2:
+                p2m, roof = BARS[amount]
                 figures.at_most(f"{amount:g}, points to mesh", halves[1]["p2m"], p2m)
                 figures.at_most(f"{amount:g}, roof CD", halves[1]["roof"], roof)
     return figures.end()

@@ -11,6 +11,7 @@ rule model:
         simulated=simulated_shards,
         real=real_shards,
         dvae="<results>/dvae/model.safetensors",
+        start=settings.model.start or [],
     output:
         weights="<results>/model/model.safetensors",
         metrics="<results>/model/metrics.jsonl",

@@ -119,8 +119,11 @@ checkpoints_option = file_option(
 )
 
 
-def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], None]) -> None:
-    """At the end of a training: the metrics, the weights by ``save(metrics)``, and no checkpoints any more.
+def write_trained(
+    checkpoints: Path, out_metrics: Path, save: Callable[[str], None], extendable: bool = False
+) -> None:
+    """At the end of a training: the metrics, the weights by ``save(metrics)``, and no checkpoints any more, unless
+    another training may continue from them.
 
     Of several processes the first writes.
     """
@@ -134,7 +137,8 @@ def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], No
         metrics = path.read_text(encoding="utf-8")
     files.write_text(out_metrics, metrics + integrity.JSON_LINES_TRAILER)
     save(metrics)
-    remove_checkpoints(checkpoints)
+    if not extendable:
+        remove_checkpoints(checkpoints)
 
 
 def write_run(

@@ -35,4 +35,6 @@ def model(
     code = fingerprint("training.model")
     with training_lock(checkpoints):
         module = model.train(manifest, dvae, config.model, checkpoints, code)
-        common.write_trained(checkpoints, out_metrics, partial(save_model, module, out, code))
+        save = partial(save_model, module, out, code)
+        extendable = config.model.optimiser.ramp_steps > 0
+        common.write_trained(checkpoints, out_metrics, save, extendable)

@@ -13,14 +13,24 @@ from p2wss.config.training import Compute, Optimiser
 class Masking(Section):
     """What is masked during training, for the model to predict. The paper: random tokens only (share not stated)."""
 
+    neutral: ClassVar = {"disturbed_share": 0.0, "disturbance_m": 2.0}
     inference_share: Share = Field(
         0.8,
         description="share of samples with all digits of height and angles masked, as at inference",
     )
     table1_share: Share = Field(
         0.1,
-        description="share of samples with all digits masked; in the remaining samples, random tokens are "
-        "masked",
+        description="share of samples with all digits masked",
+    )
+    disturbed_share: Share = Field(
+        0.0,
+        description="share of samples with all digits of height and angles masked, and with misplaced vertices "
+        "whose true coordinates are to be predicted, too; in the remaining samples, random tokens are masked",
+    )
+    disturbance_m: float = Field(
+        2.0,
+        gt=0,
+        description="largest standard deviation of the misplaced coordinates; each sample has its own",
     )
     random_ratio: tuple[Share, Share] = Field(
         (0.15, 1.0), description="range of the share of tokens masked at random"
@@ -61,8 +71,10 @@ class LossWeights(Section):
 
 
 class Decoding(Section):
-    """How the probabilities of digits are turned into values. The paper: argmax, all, 1."""
+    """How the probabilities of digits are turned into values. The paper: argmax, all, 1, 0."""
 
+    # trainings do not depend on it
+    neutral: ClassVar = {"num_refinements": 1}
     mode: Literal["argmax", "median"] = Field(
         "median",
         description="argmax = the most likely digit at each position; median = the median of the joint "
@@ -73,6 +85,12 @@ class Decoding(Section):
     )
     num_rotations: int = Field(
         4, ge=1, le=64, description="number of rotated views of a building whose probabilities are averaged"
+    )
+    num_refinements: int = Field(
+        1,
+        ge=0,
+        description="with all digits masked, how often the predicted footprint is given to the network again: "
+        "the last time for height and angles, before that for better coordinates",
     )
 
 
@@ -86,8 +104,9 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
-    neutral: ClassVar = {"similar_lengths": True, "dvae_start": True}
+    neutral: ClassVar = {"similar_lengths": True, "dvae_start": True, "start": ""}
     weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
+    start: str = Field("", description="file with trained weights to start from; '' = from random weights")
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
     max_vertices: int = Field(
         16, ge=3, le=128, description="buildings with more vertices are not used for training"
@@ -110,10 +129,10 @@ class Model(Section):
     )
     auxiliary_share: float = Field(
         0.25,
-        gt=0,
+        ge=0,
         le=1,
-        description="share of each batch for which the losses cloud, modal and match are computed; the "
-        "paper: 1",
+        description="share of each batch for which the losses cloud, modal and match are computed; 0 = without "
+        "these losses; the paper: 1",
     )
     similar_lengths: bool = Field(
         True,

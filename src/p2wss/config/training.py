@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,14 +10,21 @@ from p2wss.config.base import Section, Share
 
 
 class Optimiser(Section):
-    """AdamW with a cosine warm-up and a cosine decay of the learning rate."""
+    """AdamW with a cosine warm-up and a cosine decay of the learning rate, or a constant rate between ramps."""
 
+    neutral: ClassVar = {"ramp_steps": 0}
     num_steps: int = Field(200, ge=1, description="number of training steps (batches)")
     batch_size: int = Field(64, ge=2, le=65536, description="number of buildings per batch")
     learning_rate: float = Field(2e-3, gt=0, description="peak learning rate, after the warm-up")
     learning_rate_end: float = Field(1e-6, ge=0, description="learning rate at the last step")
     warmup_share: Share = Field(
         0.05, description="share of the steps in which the learning rate rises to its peak"
+    )
+    ramp_steps: int = Field(
+        0,
+        ge=0,
+        description="number of steps in which the learning rate rises at the beginning, and falls at the end; "
+        "in between it is constant, so that a training can be extended. 0 = warmup_share and a cosine decay",
     )
     weight_decay: float = Field(
         5e-4, ge=0, description="weight decay, not applied to biases, norms, embeddings, codebooks and tokens"

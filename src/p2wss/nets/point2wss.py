@@ -221,14 +221,16 @@ class Point2Wss(nn.Module):
         patch_masked: Tensor,
         patch_labels: Tensor,
         tokens: Tensor,
-        token_masked: Tensor,
+        given: Tensor,
+        wanted: Tensor,
         num_vertices: Tensor,
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
-        patches, ground_z (b,): scaled and centred. tokens int64 (b, l) without masks, token_masked bool (b, l),
-        num_vertices (b,). patch_masked bool (a, g), patch_labels int64 (a, g), codes of the discrete VAE: of the
-        first a <= b pairs, on which the losses (1), (3) and (4) are computed. In the paper a = b.
+        patches, ground_z (b,): scaled and centred. tokens int64 (b, l) without masks, given int64 (b, l) with masks,
+        wanted bool (b, l), which of them to predict, num_vertices (b,). patch_masked bool (a, g), patch_labels int64
+        (a, g), codes of the discrete VAE: of the first a <= b pairs, on which the losses (1), (3) and (4) are computed.
+        In the paper a = b; for a = 0 there is only the loss (2).
         """
         first = slice(len(patch_masked))
         # each branch runs once, on a batch of its masked and its unmasked inputs
@@ -239,31 +241,31 @@ class Point2Wss(nn.Module):
             embedding=torch.cat([position[first], position]),
         )
         cloud_masked, cloud = both.tensor_split([len(patch_masked)])
-        masked = tokens.masked_fill(token_masked, MASK)
         present = tokens != PAD
-        edges = self._edges(masked, num_vertices)
+        edges = self._edges(given, num_vertices)
         unmasked, num_unmasked = tokens[first], num_vertices[first]
         both = self.sequence.encoder(
             torch.cat(
                 [
                     self.sequence.embed(unmasked, num_unmasked, self._edges(unmasked, num_unmasked)),
-                    self.sequence.embed(masked, num_vertices, edges),
+                    self.sequence.embed(given, num_vertices, edges),
                 ]
             ),
             torch.cat([present[first], present]),
         )
         sequence, sequence_masked = both.tensor_split([len(unmasked)])
+        sequence_masked = self._add_edge_attention(sequence_masked, edges, cloud, patches, ground_z)
+        sequence_fused = self.sequence_cross(sequence_masked, present, source=(cloud, valid))
+        restored = _mean_cross_entropy(self.sequence_head(sequence_fused[wanted]), tokens[wanted])  # (2)
+        if not len(patch_masked):
+            return {"sequence": restored}
         cloud_fused = self.cloud_cross(
             cloud_masked, valid[first], embedding=position[first], source=(sequence, present[first])
         )
-        sequence_masked = self._add_edge_attention(sequence_masked, edges, cloud, patches, ground_z)
-        sequence_fused = self.sequence_cross(sequence_masked, present, source=(cloud, valid))
-
         cloud_logits = self.cloud_head(cloud_fused[:, 1:][patch_masked])
-        sequence_logits = self.sequence_head(sequence_fused[token_masked])
         return {
             "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
-            "sequence": _mean_cross_entropy(sequence_logits, tokens[token_masked]),  # (2)
+            "sequence": restored,
             "modal": self._modal_loss(cloud[first, 0], sequence[:, 0]),  # (3)
             "match": self._match_loss(cloud_fused[:, 0], sequence_fused[first, 0]),  # (4)
         }

@@ -19,7 +19,7 @@ from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre, thin
 from p2wss.nets.patches import Patches
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.prediction import Prediction
-from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, roll_index
+from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, Quantised, roll_index
 from p2wss.nets.weights import load_model
 
 # rows of a pass on a GPU
@@ -223,30 +223,41 @@ class Point2WssPredictor:
         masked = (kind == KIND_COORDINATE) | ((kind == KIND_SIGN) & (not signs_visible))
         tokens = tokens.masked_fill(masked, MASK)
         patches = batch_patches(batch, self.dvae_config)
-        logits = self.module.restore(tokens, batch.num_vertices, patches, batch.ground_z * NETWORK_SCALE)
+        num_passes = max(self.settings.num_refinements, 1)
+        for _ in range(num_passes):
+            logits = self.module.restore(tokens, batch.num_vertices, patches, batch.ground_z * NETWORK_SCALE)
+            xy = self._coordinates(tokenizer.blocks(tokens), tokenizer.blocks(logits))
+            zero = torch.zeros_like(xy[..., 0])
+            tokens, _ = tokenizer.mask_targets(Quantised(zero[:, 0], xy, zero, batch.num_vertices))
+        xy_m = (xy * 10.0**-tokenizer.coord_decimals).gather(1, back[..., None].expand(-1, -1, 2))
+        if self.settings.num_refinements:
+            height_m, angle_deg, _ = self._decode(replace(batch, xy=xy_m.float()))
+            return height_m, xy_m.cpu().numpy(), angle_deg
         heights, angle = self._distributions(
             logits[:, tokenizer.target_positions(batch.xy.shape[1]).to(self.device)]
         )
         height = decoding.decode(heights, mode)
         angle = decoding.constrain(angle, self._angle_support())
-        signs, block_logits = tokenizer.blocks(tokens), tokenizer.blocks(logits)
-        axes = []
-        for slot in (tokenizer.x_slot, tokenizer.y_slot):
-            digits = block_logits[..., slot + 1 : slot + 1 + len(tokenizer.coord_places), :]
-            size = decoding.decode(
-                decoding.number_distribution(digits, tokenizer, tokenizer.coord_places), mode
-            )
-            if signs_visible:
-                negative = signs[..., slot] == MINUS
-            else:
-                negative = block_logits[..., slot, [PLUS, MINUS]].argmax(-1) == 1
-            axes.append(torch.where(negative, -size, size))
-        xy = torch.stack(axes, -1).gather(1, back[..., None].expand(-1, -1, 2))
         return (
             (height * 10.0 ** tokenizer.height_places[-1]).cpu().numpy(),
-            (xy * 10.0**-tokenizer.coord_decimals).cpu().numpy(),
+            xy_m.cpu().numpy(),
             decoding.decode(angle, mode).gather(1, back).double().cpu().numpy(),
         )
+
+    def _coordinates(self, blocks: Tensor, logits: Tensor) -> Tensor:
+        """int64 (b, n, 2): decoded coordinates of vertices, given the tokens of their blocks (b, n, l), where signs may
+        be visible, and the logits of these."""
+        tokenizer, axes = self.tokenizer, []
+        for slot in (tokenizer.x_slot, tokenizer.y_slot):
+            digits = logits[..., slot + 1 : slot + 1 + len(tokenizer.coord_places), :]
+            distribution = decoding.number_distribution(digits, tokenizer, tokenizer.coord_places)
+            size = decoding.decode(distribution, self.settings.mode)
+            guess = torch.tensor([PLUS, MINUS], device=self.device)[
+                logits[..., slot, [PLUS, MINUS]].argmax(-1)
+            ]
+            sign = torch.where(blocks[..., slot] == MASK, guess, blocks[..., slot])
+            axes.append(torch.where(sign == MINUS, -size, size))
+        return torch.stack(axes, -1)
 
     def _sequences(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Tokens (b, l) with masked heights and angles, their kinds (b, l), and the place (b, n) in the sequence of

@@ -25,7 +25,7 @@ from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
-from p2wss.training.state import TrainingState
+from p2wss.training.state import TrainingState, num_steady_steps
 
 log = logging.getLogger("p2wss")
 
@@ -59,24 +59,28 @@ class Task(Protocol):
         """Measures on held-out data of ``module``, the averaged weights where there are any."""
 
 
-def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -> nn.Module:
+def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], code: str) -> nn.Module:
     """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return the weights to keep.
 
     Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of
-    the same ``identity`` (config, code, data; JSON values), training resumes there; one of another identity is
-    discarded. On SIGTERM, or when the Snakemake that started it was killed, a checkpoint is written and the
-    process exits with status 0. Of several processes (see :mod:`distributed`) the main one writes. Raises
+    the same ``identity`` (config, data; JSON values), training resumes there; one of another identity is
+    discarded. The fingerprint ``code`` is only recorded in the metrics, wherever it changes: an edit that changes no
+    result costs no training. On SIGTERM, or when the Snakemake that started it was killed, a checkpoint is written and
+    the process exits with status 0. Of several processes (see :mod:`distributed`) the main one writes. Raises
     :class:`InputError` when the loss is no longer finite.
     """
     num_steps = plan.optimiser.num_steps
     state = TrainingState(task.module, plan.optimiser, plan.ema_decay)
     start = state.resume(checkpoints, identity)
+    if [line["code"] for line in state.metrics if "code" in line][-1:] != [code]:
+        state.metrics.append({"step": start, "code": code})
     with _stop_request() as is_stop_requested, Progress("training", num_steps, "steps", start) as progress:
         for step in range(start, num_steps):
             rate = state.learning_rate
             losses = _take_step(task, state, plan, step)
             done = step + 1
-            checkpoint_due = done % plan.checkpoint_every_steps == 0 or done == num_steps
+            ends = num_steps, num_steady_steps(plan.optimiser)
+            checkpoint_due = done % plan.checkpoint_every_steps == 0 or done in ends
             if checkpoint_due or done % METRICS_EVERY_STEPS == 0:
                 averages = distributed.average_values({name: float(loss) for name, loss in losses.items()})
                 if not math.isfinite(averages["loss"]):
@@ -97,8 +101,16 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
 
 
 def training_config(config: Section) -> dict[str, Any]:
-    """The config without the settings that may differ between a run and the one that resumes it."""
-    return config.model_dump(mode="json", exclude={"compute": {"device", "num_gpus"}}, context=IDENTITY)
+    """The config without the settings that may differ between a run and the one that resumes it.
+
+    For how many steps a checkpoint was made is compared by :meth:`TrainingState.resume`.
+    """
+    exclude: Any = {
+        "compute": {"device", "num_gpus"},
+        "optimiser": {"num_steps", "ramp_steps"},
+        **dict.fromkeys(("checkpoint_every_steps", "decoding", "num_validation", "start"), True),
+    }
+    return config.model_dump(mode="json", exclude=exclude, context=IDENTITY)
 
 
 def _take_step(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[str, Tensor]:

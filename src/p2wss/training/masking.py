@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
+from p2wss.config.model import Masking
 from p2wss.nets.patches import Patches, squared_distance
-from p2wss.nets.tokenizer import KIND_ANGLE, KIND_COORDINATE, KIND_FRAME, KIND_HEIGHT, KIND_PAD
+from p2wss.nets.tokenizer import (
+    KIND_ANGLE,
+    KIND_COORDINATE,
+    KIND_FRAME,
+    KIND_HEIGHT,
+    KIND_PAD,
+    MASK,
+    Quantised,
+    Tokenizer,
+)
 
 
 def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
@@ -24,23 +36,41 @@ def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
 
 
 def mask_parameters(
-    kind: Tensor, inference_share: float, table1_share: float, random_ratio: tuple[float, float]
-) -> Tensor:
-    """bool (b, l): tokens to hide, each sample by one of three patterns drawn with the given shares.
+    tokenizer: Tokenizer, parameters: Quantised, tokens: Tensor, settings: Masking
+) -> tuple[Tensor, Tensor]:
+    """What the network gets of the ``tokens`` (b, l) of canonical ``parameters``, int64 (b, l), and which of them it
+    has to predict, bool (b, l).
 
-    Inference pattern: all digits of height and angles. Table-1 pattern: all digits. Random pattern, for the rest:
-    each token but [start] and [end] with a probability drawn per sample from ``random_ratio``. The paper's masking
-    has shares of 0 and a ratio of (0.3, 0.3). ``kind`` is the result of :meth:`Tokenizer.kinds`.
+    Each sample has one of four patterns, drawn with the given shares. Inference pattern: all digits of height and
+    angles are masked. Table-1 pattern: all digits. Disturbed pattern: all digits are to be predicted, but instead of
+    masks the network gets misplaced coordinates, with their true signs. Random pattern, for the rest: each token but
+    [start] and [end] with a probability drawn per sample from ``random_ratio``. The paper's masking has shares of 0
+    and a ratio of (0.3, 0.3).
     """
-    batch = len(kind)
-    device = kind.device
-    draw = torch.rand(batch, 1, device=device)
-    ratio = random_ratio[0] + (random_ratio[1] - random_ratio[0]) * torch.rand(batch, 1, device=device)
-    random = torch.rand(kind.shape, device=device) < ratio
-    random &= (kind != KIND_PAD) & (kind != KIND_FRAME)
-    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
-    return torch.where(
-        draw < inference_share,
-        targets,
-        torch.where(draw < inference_share + table1_share, targets | (kind == KIND_COORDINATE), random),
+    kind = tokenizer.kinds(tokens.shape, parameters.num_vertices)
+    shares = torch.tensor([settings.inference_share, settings.table1_share, settings.disturbed_share])
+    pattern = torch.searchsorted(
+        shares.cumsum(0).to(kind.device), torch.rand(len(kind), 1, device=kind.device), right=True
     )
+    low, high = settings.random_ratio
+    ratio = low + (high - low) * torch.rand(len(kind), 1, device=kind.device)
+    random = torch.rand(kind.shape, device=kind.device) < ratio
+    random &= (kind != KIND_PAD) & (kind != KIND_FRAME)
+    is_coordinate = (kind == KIND_COORDINATE) & (pattern > 0)
+    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE) | is_coordinate
+    wanted = torch.where(pattern < len(shares), targets, random)
+    given = tokens.masked_fill(wanted, MASK)
+    if settings.disturbed_share:
+        misplaced = tokenizer.encode(disturb(parameters, tokenizer, settings.disturbance_m))
+        given = torch.where((pattern == 2) & is_coordinate, misplaced, given)
+    return given, wanted
+
+
+def disturb(parameters: Quantised, tokenizer: Tokenizer, largest_m: float) -> Quantised:
+    """The same with Gaussian noise on the sizes of all coordinates; of each sample, its standard deviation is drawn
+    from 0 to ``largest_m``. Signs stay."""
+    xy = parameters.xy
+    sigma = largest_m * 10**tokenizer.coord_decimals * torch.rand(len(xy), 1, 1, device=xy.device)
+    noise = torch.round(sigma * torch.randn(xy.shape, device=xy.device)).long()
+    size = (xy.abs() + noise).clamp(1, tokenizer.max_coord)
+    return replace(parameters, xy=torch.where(xy < 0, -size, size))

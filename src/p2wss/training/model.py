@@ -7,6 +7,7 @@ inference has no other ground; labels, which refer to the terrain of the simulat
 from __future__ import annotations
 
 import logging
+import math
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,9 @@ from p2wss.data.seeds import derive_seed
 from p2wss.nets import compute, distributed
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.predictor import Point2WssPredictor
-from p2wss.nets.weights import load_dvae
+from p2wss.nets.weights import load_dvae, load_model
 from p2wss.storage import files
 from p2wss.training import augment, loop
 from p2wss.training.dataset import BatchSampler, BuildingDataset, training_limits
@@ -49,17 +50,21 @@ def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, co
         module = Point2Wss(config, vae.config)
         if config.dvae_start:
             module.cloud.embed.load_state_dict(vae.encoder.state_dict())
+        if config.start:
+            module.load_state_dict(
+                inference_weights(load_model(Path(config.start)).state_dict()), strict=False
+            )
         log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
         task = ModelTask(module.to(device), vae.to(device), training_set, validation_set)
         plan = loop.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
         identity = {
             "stage": "model",
             "config": loop.training_config(config),
-            "code": code,
             "data": files.sha256(manifest),
             "dvae": files.sha256(dvae),
+            "start": files.sha256(Path(config.start)) if config.start else "",
         }
-        trained = loop.train(task, plan, checkpoints, identity)
+        trained = loop.train(task, plan, checkpoints, identity, code)
     assert isinstance(trained, Point2Wss)
     return trained
 
@@ -97,24 +102,19 @@ class ModelTask:
             tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
         )
         tokens = tokenizer.encode(parameters)
-        masking = config.masking
-        token_masked = mask_parameters(
-            tokenizer.kinds(tokens.shape, batch.num_vertices),
-            masking.inference_share,
-            masking.table1_share,
-            masking.random_ratio,
-        )
+        given, wanted = mask_parameters(tokenizer, parameters, tokens, config.masking)
         patches = batch_patches(batch, dvae_config)
-        auxiliary = patches[: max(round(config.auxiliary_share * len(index)), 1)]
-        patch_masked = mask_patches(auxiliary, masking.patch_ratio)
+        auxiliary = patches[: math.ceil(config.auxiliary_share * len(index))]
+        patch_masked = mask_patches(auxiliary, config.masking.patch_ratio)
         with compute.autocast(config.compute, self.device):
             losses = self.module.losses(
                 patches,
                 batch.ground_z * NETWORK_SCALE,
                 patch_masked,
-                self.vae.tokens(auxiliary),
+                self.vae.tokens(auxiliary) if len(patch_masked) else patch_masked,
                 tokens,
-                token_masked,
+                given,
+                wanted,
                 batch.num_vertices,
             )
         weights = config.loss_weights.model_dump()

@@ -34,6 +34,7 @@ class TrainingState:
 
     def __init__(self, module: nn.Module, settings: Optimiser, ema_decay: float) -> None:
         self.module = module
+        self.settings = settings
         self.optimiser = torch.optim.AdamW(
             _parameter_groups(module, settings.weight_decay),
             lr=1.0,  # the schedule's factor is the rate itself
@@ -42,7 +43,7 @@ class TrainingState:
         )
         self.schedule = LambdaLR(self.optimiser, lambda step: learning_rate(step, settings))
         self.averaged = _averaged_model(module, ema_decay) if ema_decay > 0 else None
-        self.metrics: list[dict[str, float]] = []
+        self.metrics: list[dict[str, Any]] = []
 
     @property
     def trained(self) -> nn.Module:
@@ -68,16 +69,22 @@ class TrainingState:
         files.write_text(folder / METRICS_NAME, "".join(json.dumps(line) + "\n" for line in self.metrics))
         checkpoint = {name: part.state_dict() for name, part in self._parts().items()}
         checkpoint |= {"step": step, "identity": _text(identity), "metrics": self.metrics}
+        checkpoint |= {"length": _length(self.settings)}
         # through memory, because torch reports a full disk as some RuntimeError
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
         files.write_bytes(folder / f"step-{step:08d}.pt", buffer.getbuffer(), seal=True)
-        for old in sorted(_checkpoints(folder))[:-MAX_CHECKPOINTS]:
+        steps = sorted(_checkpoints(folder))
+        extendable = [each for each in steps if each <= num_steady_steps(self.settings)]
+        for old in set(steps[:-MAX_CHECKPOINTS]) - set(extendable[-1:]):
             _checkpoints(folder)[old].unlink()
 
     def resume(self, folder: Path, identity: dict[str, Any]) -> int:
         """Load the latest readable checkpoint of this ``identity`` and return its step; without one, return 0
-        and remove the checkpoints of anything else."""
+        and remove the checkpoints of anything else.
+
+        A training of another length is continued from a step before the learning rate of either begins to fall.
+        """
         for step, path in sorted(_checkpoints(folder).items(), reverse=True):
             if not integrity.is_usable(path):
                 log.warning("%s: damaged or incomplete; trying the previous one", path)
@@ -89,10 +96,13 @@ class TrainingState:
                 continue
             if checkpoint["identity"] != _text(identity):
                 log.warning(
-                    "%s: belongs to another configuration, code or data set; starting from the beginning",
-                    folder,
+                    "%s: belongs to another configuration or data set; starting from the beginning", folder
                 )
                 break
+            old, new = checkpoint["length"], _length(self.settings)
+            if old != new and step > min(old["num_steady_steps"], new["num_steady_steps"]):
+                log.warning("%s: made for %d steps; trying the previous one", path, old["num_steps"])
+                continue
             for name, part in self._parts().items():
                 part.load_state_dict(checkpoint[name])
             self.metrics = checkpoint["metrics"]
@@ -109,8 +119,17 @@ class TrainingState:
         return parts if self.averaged is None else parts | {"averaged": self.averaged}
 
 
+def num_steady_steps(settings: Optimiser) -> int:
+    """After how many steps the learning rate begins to fall; 0 for a cosine decay, of which it follows the whole
+    length."""
+    return max(settings.num_steps - settings.ramp_steps, 0) if settings.ramp_steps else 0
+
+
 def learning_rate(step: int, settings: Optimiser) -> float:
-    """Cosine warm-up from 0, then cosine decay to ``learning_rate_end`` (paper, section 5.2)."""
+    """Cosine warm-up from 0, then cosine decay to ``learning_rate_end`` (paper, section 5.2), or two linear ramps."""
+    if settings.ramp_steps:
+        share = min(step + 1, settings.num_steps - step) / settings.ramp_steps
+        return max(settings.learning_rate * min(share, 1.0), settings.learning_rate_end)
     warmup = max(round(settings.warmup_share * settings.num_steps), 1)
     if step < warmup:
         return settings.learning_rate * (1 - math.cos(math.pi * (step + 1) / warmup)) / 2
@@ -125,6 +144,10 @@ def remove_checkpoints(checkpoints: Path) -> None:
         path.unlink(missing_ok=True)
     if checkpoints.is_dir() and not any(checkpoints.iterdir()):
         checkpoints.rmdir()
+
+
+def _length(settings: Optimiser) -> dict[str, int]:
+    return {"num_steps": settings.num_steps, "num_steady_steps": num_steady_steps(settings)}
 
 
 def _text(identity: dict[str, Any]) -> str:

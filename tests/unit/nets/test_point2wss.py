@@ -11,8 +11,16 @@ from torch.nn import functional as F
 
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
-from p2wss.nets.tokenizer import FIRST_DIGIT, KIND_ANGLE, KIND_COORDINATE, KIND_HEIGHT, MASK, Tokenizer
-from p2wss.training.masking import mask_parameters, mask_patches
+from p2wss.nets.tokenizer import (
+    FIRST_DIGIT,
+    KIND_ANGLE,
+    KIND_COORDINATE,
+    KIND_FRAME,
+    KIND_HEIGHT,
+    MASK,
+    Tokenizer,
+)
+from p2wss.training.masking import mask_patches
 
 from .test_tokenizer import buildings, length
 
@@ -90,7 +98,7 @@ def test_masked_digits_cannot_leak() -> None:
     for sequence in (tokens, other):
         model.losses(
             patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
-            sequence, digits, num,
+            sequence, sequence.masked_fill(digits, MASK), digits, num,
         )  # fmt: skip
     assert torch.equal(captured[0][4:], captured[1][4:])  # the masked half of the doubled batch
     assert not torch.equal(captured[0][:4], captured[1][:4])
@@ -180,10 +188,12 @@ def test_match_loss_is_that_of_all_fused_pairs(balanced: bool) -> None:
 def test_losses_start_near_chance_and_reach_every_weight() -> None:
     model = network()
     patches, tokens, num = sample(8)
-    masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
+    wanted = torch.rand(tokens.shape) < 0.3
+    wanted &= Tokenizer().kinds(tokens.shape, num) > KIND_FRAME
+    given = tokens.masked_fill(wanted, MASK)
     losses = model.losses(
         patches, torch.zeros(8), mask_patches(patches, (0.25, 0.45)),
-        torch.randint(20, (8, 12)), tokens, masked, num,
+        torch.randint(20, (8, 12)), tokens, given, wanted, num,
     )  # fmt: skip
     assert float(losses["sequence"].detach()) == pytest.approx(math.log(51), abs=0.7)
     assert float(losses["cloud"]) == pytest.approx(math.log(20), abs=0.7)
@@ -195,17 +205,21 @@ def test_losses_start_near_chance_and_reach_every_weight() -> None:
 def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
     model = network().eval()
     patches, tokens, num = sample(8)
-    masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
+    wanted = torch.rand(tokens.shape) < 0.3
+    wanted &= Tokenizer().kinds(tokens.shape, num) > KIND_FRAME
+    given = tokens.masked_fill(wanted, MASK)
     patch_masked, labels = mask_patches(patches, (0.25, 0.45)), torch.randint(20, (8, 12))
-    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, tokens, masked, num)
-    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], tokens, masked, num)
+    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, tokens, given, wanted, num)
+    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], tokens, given, wanted, num)
     alone = model.losses(
-        patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], masked[:3], num[:3]
+        patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], given[:3], wanted[:3], num[:3]
     )
     assert torch.allclose(some["sequence"], whole["sequence"], atol=1e-5)
     for name in ("cloud", "modal", "match"):
         assert torch.allclose(some[name], alone[name], atol=1e-5)
-        assert not torch.allclose(some[name], whole[name], atol=1e-3)
+        assert not torch.allclose(some[name], whole[name], atol=1e-4)
+    none = model.losses(patches, torch.zeros(8), patch_masked[:0], labels[:0], tokens, given, wanted, num)
+    assert list(none) == ["sequence"] and torch.allclose(none["sequence"], whole["sequence"], atol=1e-5)
 
 
 def test_inference_needs_only_the_parts_that_are_kept() -> None:

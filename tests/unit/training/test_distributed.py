@@ -19,6 +19,7 @@ from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.layers import BatchNorm
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.tokenizer import MASK
 from p2wss.training import loop
 
 NUM = 8
@@ -73,9 +74,9 @@ def model_step() -> dict[str, Tensor]:
     patch_masked = torch.rand(NUM, 8, generator=generator) < torch.linspace(0.2, 0.8, NUM)[:, None]
     labels = torch.randint(12, (NUM, 8), generator=generator)
     patches_of_process = patches(generator)
-    arguments = [
-        rows(x) for x in (torch.zeros(NUM), patch_masked, labels, tokens, token_masked, num_vertices)
-    ]
+    given = tokens.masked_fill(token_masked, MASK)
+    columns = torch.zeros(NUM), patch_masked, labels, tokens, given, token_masked, num_vertices
+    arguments = [rows(x) for x in columns]
     return measure(module, module.losses(patches_of_process, *arguments))
 
 
@@ -99,7 +100,7 @@ def train_line(folder: Path) -> dict[str, Tensor]:
     from p2wss.config import Optimiser
 
     plan = loop.Plan(0, Optimiser(num_steps=40, batch_size=NUM), 0.9, 20)
-    return dict(loop.train(Line(), plan, folder, {}).state_dict())
+    return dict(loop.train(Line(), plan, folder, {}, "x").state_dict())
 
 
 def everything(folder: Path) -> dict[str, dict[str, Tensor]]:

@@ -16,7 +16,7 @@ from p2wss import cli
 from p2wss.config import Model, load
 from p2wss.nets.batch import Batch, thin
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.prediction import Prediction
 from p2wss.nets.predictor import Point2WssPredictor, load_predictor
 from p2wss.nets.weights import save_dvae
@@ -283,6 +283,40 @@ def test_footprints_predicted_from_masked_digits_keep_frame_and_order(
             clear = (np.abs(ring) > 0.3) & (np.abs(guess) > 0.3)
             assert (np.sign(guess) == np.sign(ring))[clear].all()
         assert np.abs(place + shift - other).mean() < 1
+
+
+def test_a_predicted_footprint_is_given_to_the_network_again(
+    predictor: Point2WssPredictor, labelled: BuildingDataset
+) -> None:
+    """Height and angles are those of the predicted footprint; before that, its coordinates are predicted again."""
+    clouds, rings = inputs(labelled)
+    exterior = [r[0] for r in rings]
+
+    def reconstructed(num_refinements: int) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+        other = Point2WssPredictor(predictor.module)
+        other.settings = other.settings.model_copy(update={"num_refinements": num_refinements})
+        return other.reconstruct_all_masked(clouds, exterior)
+
+    (_, plain, _), (height, once, angle), (_, twice, _) = map(reconstructed, range(3))
+    assert np.array_equal(np.concatenate(plain), np.concatenate(once))
+    assert not np.allclose(np.concatenate(plain), np.concatenate(twice), atol=0.05)
+    again = predictor.predict(clouds, [[ring] for ring in once])
+    assert np.array_equal(again.eave_height_m, height)
+    assert np.array_equal(np.concatenate(again.angle_deg), np.concatenate(angle))
+
+
+def test_a_training_starts_from_given_weights(folder: Path, tmp_path: Path) -> None:
+    start = str(folder / "m.safetensors")
+    few = SMALL_MODEL | {"start": start, "seed": 5, "optimiser": {"num_steps": 1, "batch_size": 8}}
+    few |= {"auxiliary_share": 0}
+    config = load({"model": few | {"ema_decay": 0}}).model
+    trained = model.train(folder / "manifest.json", folder / "d.safetensors", config, tmp_path, "x")
+    module = trained.state_dict()
+    weights = load_predictor(folder / "m.safetensors", "cpu").module.state_dict()
+    # a step moves each weight by about the rate; moments of batch norms follow the data
+    for name, value in inference_weights(weights).items():
+        if value.is_floating_point() and "running" not in name:
+            assert torch.allclose(module[name], value, atol=0.01), name
 
 
 def test_files_of_another_kind_are_rejected(folder: Path) -> None:

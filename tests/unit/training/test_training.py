@@ -22,7 +22,7 @@ from p2wss.storage.errors import InputError
 from p2wss.training import loop
 from p2wss.training.state import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
 
-IDENTITY = {"config": {"a": 1}, "code": "x"}
+IDENTITY = {"config": {"a": 1}}
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Settings:
     weight_decay: float = 0.01
     beta2: float = 0.95
     gradient_clip: float = 1.0
+    ramp_steps: int = 0
 
 
 class Line:
@@ -63,9 +64,16 @@ def read_metrics(folder: Path) -> str:
     return (folder / METRICS_NAME).read_text()
 
 
-def run(folder: Path, task: Line, ema_decay: float = 0.9, identity: dict = IDENTITY) -> dict[str, Tensor]:
-    plan = loop.Plan(3, Settings(), ema_decay, 20)
-    return loop.train(task, plan, folder, identity).state_dict()
+def run(
+    folder: Path,
+    task: Line,
+    ema_decay: float = 0.9,
+    identity: dict = IDENTITY,
+    code: str = "x",
+    **settings: int,
+) -> dict[str, Tensor]:
+    plan = loop.Plan(3, Settings(**settings), ema_decay, 20)
+    return loop.train(task, plan, folder, identity, code).state_dict()
 
 
 @pytest.mark.parametrize("ema_decay", [0.0, 0.9])
@@ -133,11 +141,61 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, caplog: pytest.LogCa
 
 def test_checkpoints_of_another_config_are_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(SystemExit):
-        run(tmp_path, Line(stop_after=30), identity={"config": {"a": 2}, "code": "x"})
+        run(tmp_path, Line(stop_after=30), identity={"config": {"a": 2}})
     resumed = run(tmp_path, Line())
     assert "starting from the beginning" in caplog.text
     expected = run(tmp_path / "other", Line())
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
+
+
+def test_an_edit_of_the_code_is_recorded_and_costs_no_training(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit):
+        run(tmp_path, Line(stop_after=30), code="old")
+    resumed = run(tmp_path, Line(), code="new")
+    expected = run(tmp_path / "other", Line())
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
+    records = [json.loads(line) for line in read_metrics(tmp_path).splitlines()]
+    assert [record for record in records if "code" in record] == [
+        {"step": 0, "code": "old"},
+        {"step": 31, "code": "new"},
+    ]
+
+
+@pytest.mark.parametrize("longer", [64, 130])
+def test_a_training_with_a_constant_rate_can_be_extended(tmp_path: Path, longer: int) -> None:
+    """From before its last ramp, so that the result is that of the longer training alone, to the bit."""
+    run(tmp_path / "one", Line(), ramp_steps=8)
+    assert sorted(path.name for path in (tmp_path / "one").glob("*.pt")) == [
+        "step-00000052.pt",
+        "step-00000060.pt",
+    ]
+    steps = []
+
+    class Counted(Line):
+        def step(self, step: int) -> dict[str, Tensor]:
+            steps.append(step)
+            return super().step(step)
+
+    extended = run(tmp_path / "one", Counted(), ramp_steps=8, num_steps=longer)
+    assert steps == list(range(52, longer))
+    expected = run(tmp_path / "two", Line(), ramp_steps=8, num_steps=longer)
+    assert all(torch.equal(expected[name], extended[name]) for name in expected)
+
+
+def test_another_decay_continues_before_either(tmp_path: Path) -> None:
+    run(tmp_path, Line(), ramp_steps=8)
+    run(tmp_path, Line(), ramp_steps=20, num_steps=80)
+    records = [json.loads(line) for line in read_metrics(tmp_path).splitlines()]
+    rates = {record["step"]: record["learning_rate"] for record in records if "learning_rate" in record}
+    assert rates[52] == rates[60] == 0.05 and rates[80] == pytest.approx(0.05 / 20)
+
+
+def test_a_cosine_decay_cannot_be_extended(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    run(tmp_path / "one", Line())
+    extended = run(tmp_path / "one", Line(), num_steps=80)
+    assert "step-00000060.pt: made for 60 steps" in caplog.text
+    expected = run(tmp_path / "two", Line(), num_steps=80)
+    assert all(torch.equal(expected[name], extended[name]) for name in expected)
 
 
 def test_a_loss_that_is_not_finite_stops_with_one_clear_line(tmp_path: Path) -> None:
@@ -185,6 +243,14 @@ def test_schedule_rises_then_falls() -> None:
     assert settings.learning_rate_end < rates[-1] < 2e-4
     middle = learning_rate(55, settings)
     assert middle == pytest.approx((settings.learning_rate + settings.learning_rate_end) / 2)
+
+
+def test_a_constant_rate_lies_between_two_ramps() -> None:
+    settings = Settings(num_steps=100, ramp_steps=10)
+    rates = [learning_rate(step, settings) for step in range(100)]
+    assert rates[9:91] == [settings.learning_rate] * 82
+    assert rates[0] == rates[99] == pytest.approx(settings.learning_rate / 10)
+    assert rates[:10] == sorted(rates[:10]) and rates[90:] == sorted(rates[90:], reverse=True)
 
 
 def test_metrics_are_lines_of_json_and_the_folder_can_go(tmp_path: Path) -> None:
