@@ -50,6 +50,9 @@ def with_meeting_planes(
     of_slot[at, slot] = plane
     num = len(row)
     change = np.zeros((num, 3))
+    off_m = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]
+    if len(first) == len(place) and not len(more) and np.abs(off_m).max() < _EXACT_M:
+        return mesh, np.abs(off_m).max(axis=1)
     for _ in range(_NUM_ROUNDS):
         normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
         to_meet = np.linalg.pinv(normal, _RANK)
@@ -63,13 +66,10 @@ def with_meeting_planes(
         change -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)
         normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
         vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
-    off_m = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]
+    apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
     moved_m = vertex_m[place]
-    stays = np.abs(moved_m - mesh.vertex_m).max(axis=1) < _EXACT_M
-    return (
-        mesh.moved(np.where(stays[:, None], mesh.vertex_m, moved_m)),
-        np.abs(off_m).max(axis=1)[place],
-    )
+    stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
+    return mesh.moved(np.where(stays, mesh.vertex_m, moved_m)), apart_m[place]
 
 
 def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

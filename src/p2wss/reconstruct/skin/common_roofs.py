@@ -46,7 +46,9 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
     normal = mesh.planes.normal[mesh.planes.number]
     moved, is_wrong = mesh, bool(steps)
     while is_wrong:
-        linked = np.array([(step.vertex, step.other) for step in steps if step.other >= 0], int).reshape(-1, 2)
+        linked = np.array([(step.vertex, step.other) for step in steps if step.other >= 0], int).reshape(
+            -1, 2
+        )
         through = [(step.vertex, step.plane) for step in steps if step.plane >= 0]
         moved, apart_m = with_meeting_planes(mesh, groups(len(building), linked), through)
         is_bad = np.linalg.norm(moved.vertex_m - mesh.vertex_m, axis=1) > max_step_m
@@ -80,13 +82,15 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
     beyond = dict(zip(map(tuple, ends), np.repeat(planes.number, 3).tolist(), strict=True))
     found: dict[tuple[int, int, int], _Step] = {}
     for pair in opposite_walls(point, faces).tolist():
-        rings = [[ring for ring in faces[wall].rings] for wall in pair]
+        rings = [faces[wall].rings for wall in pair]
         corners = [[v for ring in each for v in ring if moves[list(planes.at[v])].any()] for each in rings]
         if not all(corners):
             continue
         gap_m = np.linalg.norm(point[corners[0]][:, None] - point[corners[1]], axis=2)
         for mine, theirs, gaps_m in ((0, 1, gap_m), (1, 0, gap_m.T)):
-            edges = [(b, a) for ring in rings[theirs] for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
+            edges = [
+                (b, a) for ring in rings[theirs] for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
+            ]
             edge = np.array([each for each in edges if moves[beyond[each]]], int).reshape(-1, 2)
             nearest = gaps_m.argmin(axis=1)
             for k, vertex in enumerate(corners[mine]):
