@@ -42,24 +42,27 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
                 continue
             each = np.arange(len(mesh.vertex_m))
             each[gone] = end
-            moved = _met(mesh, each)
+            moved = _met(mesh, each, short_m)
             result = None if moved is None else _merged(moved, end, gone)
-            if result is not None and _num_thin(result) > _num_thin(mesh):
-                # the other end of a step that went
-                result = with_exact_faces(result, _NO_HEIGHT_M)
-                result = None if _num_thin(result) > _num_thin(mesh) else result
+            if result is not None and _is_thin(result).sum() > _is_thin(mesh).sum():
+                # the other end of a step that went, or a vertex that a wall now passes through
+                result = with_exact_faces(_flipped(result), _NO_HEIGHT_M)
+                result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
             if result is not None:
                 break
     return mesh
 
 
-def _met(mesh: Mesh, place: np.ndarray) -> Mesh | None:
+def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0) -> Mesh | None:
     """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`); None if no change of
     centimetres does that."""
     moved, apart_m = with_meeting_planes(mesh, place)
     move_m = np.abs(moved.vertex_m - mesh.vertex_m)
     # the walls on floors stay
-    is_far = move_m.max() > _MAX_MOVE_M or move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+    is_far = (
+        move_m.max() > max(_MAX_MOVE_M, max_move_m)
+        or move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+    )
     normal = mesh.planes.normal[mesh.planes.number]
     num_turned = [((each.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2).sum() for each in (mesh, moved)]
     return None if is_far or apart_m.max() > _PLANAR_M or num_turned[1] > num_turned[0] else moved
@@ -114,6 +117,21 @@ def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
     return replace(mesh, triangle=triangle).part(~has_both)
 
 
-def _num_thin(mesh: Mesh) -> int:
-    """How many triangles have no height."""
-    return int((2 * mesh.area_m2 < _NO_HEIGHT_M * mesh.edge_m.max(axis=1)).sum())
+def _flipped(mesh: Mesh) -> Mesh:
+    """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
+    triangle across the side has that corner, too, and is two."""
+    triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
+    for t in np.flatnonzero(_is_thin(mesh) & (mesh.edge_m.min(axis=1) > _NO_HEIGHT_M)).tolist():
+        side = int(mesh.edge_m[t].argmax())
+        start, _, corner = np.roll(triangle[t], -side)
+        across, there = divmod(int(mesh.twin[t, side]), 3)
+        end, _, far = np.roll(triangle[across], -there)
+        is_as_it_was = (triangle[[t, across]] == mesh.triangle[[t, across]]).all()
+        if is_as_it_was and not ((triangle == corner).any(axis=1) & (triangle == far).any(axis=1)).any():
+            triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), like[across]
+    return replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
+
+
+def _is_thin(mesh: Mesh) -> np.ndarray:
+    """bool (t,): whether a triangle has no height."""
+    return np.asarray(2 * mesh.area_m2 < _NO_HEIGHT_M * mesh.edge_m.max(axis=1))
