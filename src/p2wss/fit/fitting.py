@@ -15,7 +15,6 @@ from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
 from p2wss.fit.mesh.chimneys import with_chimneys
 from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.mesh.short_edges import without_short_edges
 from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.points import ground_points, roof_points, shaft_points, wall_hits
@@ -24,6 +23,7 @@ from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Thresholds
 from p2wss.mesh import Mesh
+from p2wss.mesh.planar import with_exact_faces
 
 METHOD = "fit"
 # points of class ground this far inside the footprint show that no building is there
@@ -101,7 +101,7 @@ def fit_building(task: _Task) -> Reconstruction:
     solid = cover_with_planes(task, prepared) or raise_parametric(task, prepared)
     if isinstance(solid, str):
         return no_mesh(task.building, task.method, solid)
-    mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, prepared, solid.mesh)
+    mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
     mesh = prepared.open_ground.marked(mesh)
     mesh = add_chimneys(task, prepared, mesh)
     return _reconstruction(task, prepared, solid, mesh)
@@ -173,13 +173,9 @@ def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
     return _Solid(mesh, 1, roof.eave_z_m, roof.angle_deg, True)
 
 
-def remove_short_edges(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:
+def remove_short_edges(task: _Task, mesh: Mesh) -> Mesh:
     """The mesh without short edges."""
-    thresholds, rings, point_m = task.thresholds, prepared.rings, prepared.point_m
-    area_m2 = shapely.Polygon(rings[0], rings[1:]).area
-    price_m3 = thresholds.detail[task.config.detail] * thresholds.short_edge_price_m3
-    limits = price_m3 * len(point_m) / area_m2, thresholds.short_edge_m
-    return without_short_edges(mesh, rings, point_m, *limits)
+    return with_exact_faces(mesh, task.thresholds.short_edge_m)
 
 
 def add_chimneys(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:

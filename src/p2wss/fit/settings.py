@@ -217,10 +217,8 @@ class Thresholds:
     planes: Planes = field(default_factory=Planes)
     # points on a roof: with fewer, the parametric model knows more than planes in them show
     min_plane_points: int = 5
-    # metres: shorter edges of the mesh are removed if the points do not need them
+    # metres: shorter edges of the mesh are removed, if no vertex moves further
     short_edge_m: float = 0.2
-    # cubic metres between roof and points that each may cost
-    short_edge_price_m3: float = 0.42
     # multiples of the prices of planes, by `reconstruct.detail`
     detail: dict[str, float] = field(default_factory=lambda: {"low": 2.0, "normal": 1.0, "high": 0.5})
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from p2wss.mesh.meeting import with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.types import FaceKind
 
-# corners nearer to all planes of their roofs are there; roofs that cannot be planes to the second figure stay as they
-# are, as do those of which a corner would move further than the third
+# corners nearer to lines of walls are on them; planes of which a corner stays further than the second figure, or moves
+# further than the third, stay as they are
 _EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 2e-4, 0.06
 # nothing within a wall is further than this from its line; lines whose angle has no greater sine squared are parallel
 _MAX_BENT_M, _PARALLEL = 5e-3, 1e-3
@@ -20,37 +21,51 @@ SHORT_EDGE_M = 0.05
 # a triangle of less height than this has no normal that survives the rounding of a file; one is turned over if twice
 # its area is less than minus the second figure
 _NO_HEIGHT_M, _NO_AREA_M2 = 1e-3, 1e-6
-# how much more the heights that a slope of a level roof makes count than others; roofs narrower than the second share
-# of their length have no slope across
-_STIFF, _THIN = 100.0, 1e-12
-# what is determined by less than this share of what determines best is not changed, if it need not be
-_RANKS = (1e-2, 1e-3, 1e-6)
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
-    """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible
-    (:func:`with_planar_roofs`), and without those edges shorter than ``short_m`` that can go, the shortest first.
+    """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible, and
+    without those edges shorter than ``short_m`` that can go, the shortest first.
 
-    An edge goes if one of its ends can move to the other one along the walls that meet in it, the mesh stays a
-    manifold, and its roofs can be planes again.
+    An edge goes if the planes at both its ends can meet in one point, and the mesh stays a manifold.
     """
     straight = _with_straight_walls(mesh)
-    result: Mesh | None = with_planar_roofs(straight, mesh) or with_planar_roofs(mesh, mesh) or straight
+    each = np.arange(len(mesh.vertex_m))
+    result: Mesh | None = _met(straight, each) or straight
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
         rows = np.flatnonzero(edge_m < short_m)
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
-            end, moved = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-            shorter = _merged(mesh, end, moved) if _can_move(mesh, end, moved) else None
-            result = None if shorter is None else with_planar_roofs(shorter, mesh)
-            if result is not None and _num_thin(result) > _num_thin(mesh):
-                # the other end of a step that went
-                result = with_exact_faces(result, _NO_HEIGHT_M)
-                result = None if _num_thin(result) > _num_thin(mesh) else result
+            end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
+            if not _can_merge(mesh, end, gone):
+                continue
+            each = np.arange(len(mesh.vertex_m))
+            each[gone] = end
+            moved = _met(mesh, each, short_m)
+            result = None if moved is None else _merged(moved, end, gone)
+            if result is not None and _is_thin(result).sum() > _is_thin(mesh).sum():
+                # the other end of a step that went, or a vertex that a wall now passes through
+                result = with_exact_faces(_flipped(result), _NO_HEIGHT_M)
+                result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
             if result is not None:
                 break
     return mesh
+
+
+def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0) -> Mesh | None:
+    """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`); None if no change of
+    centimetres does that."""
+    moved, apart_m = with_meeting_planes(mesh, place)
+    move_m = np.abs(moved.vertex_m - mesh.vertex_m)
+    # the walls on floors stay
+    is_far = (
+        move_m.max() > max(_MAX_MOVE_M, max_move_m)
+        or move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+    )
+    normal = mesh.planes.normal[mesh.planes.number]
+    num_turned = [((each.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2).sum() for each in (mesh, moved)]
+    return None if is_far or apart_m.max() > _PLANAR_M or num_turned[1] > num_turned[0] else moved
 
 
 def _with_straight_walls(mesh: Mesh) -> Mesh:
@@ -88,98 +103,35 @@ def _with_straight_walls(mesh: Mesh) -> Mesh:
     return mesh.moved(np.column_stack([place_m[column], mesh.vertex_m[:, 2]]))
 
 
-def _can_move(mesh: Mesh, end: int, moved: int) -> bool:
-    """Whether all walls stay upright and in their planes if a vertex moves to another one."""
-    planes = mesh.planes
-    walls = [{plane for plane in planes.at[vertex] if planes.is_wall[plane]} for vertex in (moved, end)]
-    return walls[0] <= walls[1] or bool((mesh.vertex_m[end, :2] == mesh.vertex_m[moved, :2]).all())
+def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:
+    """Whether the mesh stays a manifold if the two ends of an edge become one vertex."""
+    at_end, at_gone = (mesh.triangle == end).any(axis=1), (mesh.triangle == gone).any(axis=1)
+    common = np.intersect1d(mesh.triangle[at_end], mesh.triangle[at_gone])
+    return (at_end & at_gone).sum() == 2 and len(common) == 4
 
 
-def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
-    """The mesh after vertex ``moved`` has moved along an edge to ``end``; None if it would not be manifold."""
-    triangle = mesh.triangle
-    at_end, at_moved = (triangle == end).any(axis=1), (triangle == moved).any(axis=1)
-    gone = at_end & at_moved
-    common = np.intersect1d(triangle[at_end], triangle[at_moved])
-    if gone.sum() != 2 or len(common) != 4:
-        return None
-    return replace(mesh, triangle=np.where(triangle == moved, end, triangle)).part(~gone)
+def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
+    """The mesh after the ends of an edge have become one vertex."""
+    has_both = (mesh.triangle == end).any(axis=1) & (mesh.triangle == gone).any(axis=1)
+    triangle = np.where(mesh.triangle == gone, end, mesh.triangle)
+    return replace(mesh, triangle=triangle).part(~has_both)
 
 
-def _num_thin(mesh: Mesh) -> int:
-    """How many triangles have no height."""
-    return int((2 * mesh.area_m2 < _NO_HEIGHT_M * mesh.edge_m.max(axis=1)).sum())
+def _flipped(mesh: Mesh) -> Mesh:
+    """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
+    triangle across the side has that corner, too, and is two."""
+    triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
+    for t in np.flatnonzero(_is_thin(mesh) & (mesh.edge_m.min(axis=1) > _NO_HEIGHT_M)).tolist():
+        side = int(mesh.edge_m[t].argmax())
+        start, _, corner = np.roll(triangle[t], -side)
+        across, there = divmod(int(mesh.twin[t, side]), 3)
+        end, _, far = np.roll(triangle[across], -there)
+        is_as_it_was = (triangle[[t, across]] == mesh.triangle[[t, across]]).all()
+        if is_as_it_was and not ((triangle == corner).any(axis=1) & (triangle == far).any(axis=1)).any():
+            triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), like[across]
+    return replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
 
 
-def _faults(mesh: Mesh) -> tuple[int, float]:
-    """How many triangles are turned over, and how far corners of roofs are from their planes."""
-    planes = mesh.planes
-    normal = planes.normal[planes.number]
-    is_turned = (mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2
-    along_m = (mesh.corner_m * normal[:, None]).sum(axis=2)
-    size = np.maximum(np.bincount(planes.number), 1)
-    off_m = np.abs(along_m - (np.bincount(planes.number, along_m.mean(axis=1)) / size)[planes.number, None])
-    return int(is_turned.sum()), float(off_m[planes.is_roof[planes.number]].max(initial=0.0))
-
-
-def _corners(mesh: Mesh) -> np.ndarray:
-    """int (2, n): the vertices of roofs, and the labels of these."""
-    is_roof = (mesh.kind != FaceKind.WALL) & (mesh.kind != FaceKind.GROUND)
-    pairs = np.column_stack([mesh.triangle[is_roof].ravel(), np.repeat(mesh.label[is_roof], 3)])
-    return np.unique(pairs, axis=0).T
-
-
-def _places(from_middle_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(x, y and 1, heights) of points (n, 3)."""
-    return np.column_stack([from_middle_m[:, :2], np.ones(len(from_middle_m))]), from_middle_m[:, 2]
-
-
-def with_planar_roofs(mesh: Mesh, before: Mesh) -> Mesh | None:
-    """The mesh whose roofs are planes, after the smallest change of their heights that does so; None if no change of
-    centimetres makes them so, or at least as planar as those of the mesh ``before``.
-
-    Vertices keep their place in plan, so walls stay as they are. Where several roofs meet, their planes must have one
-    height: that is linear in the coefficients of the planes, whose change follows from least squares.
-    """
-    vertex, label = _corners(before)
-    roofs, roof = np.unique(label, return_inverse=True)
-    size = np.bincount(roof)
-    middle_m = np.column_stack([np.bincount(roof, before.vertex_m[vertex, axis]) / size for axis in range(3)])
-    place, height_m = _places(before.vertex_m[vertex] - middle_m[roof])
-    square, to_height = np.zeros((len(roofs), 3, 3)), np.zeros((len(roofs), 3, 1))
-    np.add.at(square, roof, place[:, :, None] * place[:, None])
-    np.add.at(to_height, roof, (place * height_m[:, None])[..., None])
-    coefficient = (np.linalg.pinv(square, _THIN, hermitian=True) @ to_height)[..., 0]
-    # so scaled, a change of coefficients is as long as that of the heights of the vertices; level roofs stay level
-    stiff = np.ones((len(roofs), 3))
-    stiff[before.planes.kind[np.searchsorted(np.unique(before.label), roofs)] == FaceKind.FLAT, :2] = _STIFF
-    length, axes = np.linalg.eigh(square * stiff[:, None] * stiff[..., None])
-    scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
-
-    vertex, label = _corners(mesh)
-    roof = np.searchsorted(roofs, label)
-    place, height_m = _places(mesh.vertex_m[vertex] - middle_m[roof])
-    fitted_m = (place * coefficient[roof]).sum(axis=1)
-    if np.abs(fitted_m - height_m).max(initial=0.0) < _EXACT_M:
-        return mesh
-    scaled = (place[:, None] @ scale[roof])[:, 0]
-    # each roof at a vertex but the first has its height there
-    is_next = np.flatnonzero(np.diff(vertex, prepend=-1) == 0)
-    condition = np.zeros((len(is_next), len(roofs), 3))
-    condition[np.arange(len(is_next)), roof[is_next]] = scaled[is_next]
-    condition[np.arange(len(is_next)), roof[is_next - 1]] = -scaled[is_next - 1]
-    most_turned, most_off_m = _faults(before)
-    fitted_m += middle_m[roof, 2]
-    wrong_m = fitted_m[is_next - 1] - fitted_m[is_next]
-    for rank in _RANKS:
-        change = np.linalg.lstsq(condition.reshape(len(is_next), 3 * len(roofs)), wrong_m, rank)[0].reshape(
-            -1, 3
-        )
-        vertex_m = mesh.vertex_m.copy()
-        vertex_m[vertex, 2] = fitted_m + (scaled * change[roof]).sum(axis=1)
-        moved = mesh.moved(vertex_m)
-        num_turned, off_m = _faults(moved)
-        is_far = np.abs(vertex_m - mesh.vertex_m).max() > _MAX_MOVE_M
-        if num_turned <= most_turned and off_m <= max(most_off_m, _PLANAR_M) and not is_far:
-            return moved
-    return None
+def _is_thin(mesh: Mesh) -> np.ndarray:
+    """bool (t,): whether a triangle has no height."""
+    return np.asarray(2 * mesh.area_m2 < _NO_HEIGHT_M * mesh.edge_m.max(axis=1))

@@ -37,13 +37,15 @@ def furthest_m(mesh: Mesh) -> float:
     return result
 
 
-def test_bent_roofs_become_planes_and_nothing_moves_in_plan() -> None:
+def test_bent_roofs_become_planes_and_walls_stay() -> None:
     mesh = hip()
     bent = mesh.vertex_m.copy()
     bent[bent[:, 2] > 1, 2] += np.random.default_rng(0).uniform(-9e-3, 9e-3, (bent[:, 2] > 1).sum())
     exact = with_exact_faces(mesh.moved(bent))
     assert furthest_m(mesh.moved(bent)) > 2e-4 and furthest_m(exact) < 1e-6
-    assert (exact.vertex_m[:, :2] == bent[:, :2]).all() and np.abs(exact.vertex_m - bent).max() < 0.02
+    is_corner = bent[:, 2] < 5.1
+    assert is_corner.sum() == 8 and (exact.vertex_m[is_corner, :2] == bent[is_corner, :2]).all()
+    assert np.abs(exact.vertex_m - bent).max() < 0.02
     assert (exact.vertex_m[bent[:, 2] == 0, 2] == 0).all()
 
 
@@ -90,3 +92,63 @@ def test_a_notch_of_the_footprint_stays() -> None:
     meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(6, 90.0), np.array([5.0]))
     mesh = Mesh.of_kernel(meshes, 0)
     assert with_exact_faces(mesh) is mesh and mesh.edge_m.min() == pytest.approx(0.03)
+
+
+def gables(first_m: float, second_m: float) -> Mesh:
+    """Two houses of one pitch side by side, with eaves at these heights."""
+    boxes = [RING * [0.5, 1], RING * [0.5, 1] + [6, 0]]
+    angle_deg = np.array([40.0, 90.0, 40.0, 90.0])
+    return union(
+        [FittedRoof([xy], angle_deg, z, 0.0) for xy, z in zip(boxes, (first_m, second_m), strict=True)]
+    )
+
+
+def test_slopes_that_are_a_little_apart_meet_in_the_middle() -> None:
+    mesh = gables(5.0, 5.08)
+    exact = with_exact_faces(mesh, 0.2)
+    assert len(exact.triangle) < len(mesh.triangle) and exact.is_closed and furthest_m(exact) < 1e-6
+    assert exact.edge_m.min() > 2 and exact.volume_m3 == pytest.approx(mesh.volume_m3, rel=1e-3)
+    eaves_m = exact.vertex_m[np.isin(exact.vertex_m[:, 1], (0, 8)) & (exact.vertex_m[:, 2] > 1)]
+    assert len(eaves_m) == 6 and eaves_m[:, 2] == pytest.approx(5 + eaves_m[:, 0] / 12 * 0.08, abs=1e-3)
+    assert with_exact_faces(gables(5.0, 5.3), 0.2).edge_m.min() > 0.29
+
+
+def test_a_wall_between_roofs_moves_to_the_corner_beside_it_and_the_footprint_stays() -> None:
+    west = np.array([[0, 0], [6, 0], [6, 8], [0, 8.0]])
+    east = np.array([[6, 0], [10, 0], [10, 5], [6.1, 5], [6.1, 8], [6, 8.0]])
+    levels = ((west, 6.0), (east, 4.0))
+    mesh = union([FittedRoof([xy], np.full(len(xy), 90.0), z, 0.0) for xy, z in levels])
+    exact = with_exact_faces(mesh, 0.2)
+    assert len(exact.triangle) < len(mesh.triangle) and exact.is_closed and furthest_m(exact) < 1e-6
+    floor = [
+        sorted(map(tuple, each.vertex_m[each.vertex_m[:, 2] < 0.1, :2].round(9).tolist()))
+        for each in (mesh, exact)
+    ]
+    assert floor[0] == floor[1]
+    inner = (exact.vertex_m[:, 1] < 4) & (np.abs(exact.vertex_m[:, 0] - 5) < 4)
+    assert exact.vertex_m[inner, 0] == pytest.approx(6.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", [FaceKind.ROOF, FaceKind.WALL])
+def test_a_plane_without_area_is_no_reason_to_fail(kind: FaceKind) -> None:
+    """Beside a ridge there is a triangle without area, 5 cm of whose side are a short edge."""
+    house = gables(5.0, 5.0)
+    vertex_m, is_top = house.vertex_m, house.vertex_m[:, 2] > 6
+    at_ridge = is_top[house.triangle].sum(axis=1) == 2
+    row = int(np.flatnonzero(at_ridge & (house.kind == FaceKind.ROOF))[0])
+    corners = house.triangle[row].tolist()
+    turn = next(k for k in range(3) if not is_top[corners[k]])
+    foot, start, end = corners[turn:] + corners[:turn]
+    between = len(vertex_m)
+    along_m = vertex_m[end] - vertex_m[start]
+    rows = [[foot, start, between], [foot, between, end], [start, end, between]]
+    mesh = Mesh(
+        np.vstack([vertex_m, vertex_m[start] + 0.05 * along_m / np.linalg.norm(along_m)]),
+        np.vstack([np.delete(house.triangle, row, axis=0), rows]).astype(np.int32),
+        np.append(np.delete(house.kind, row), [FaceKind.ROOF, FaceKind.ROOF, kind]).astype(np.uint8),
+        np.append(np.delete(house.label, row), [*2 * [house.label[row]], 99]).astype(np.int32),
+    )
+    assert mesh.is_closed and mesh.planes.area_m2.min() == 0 and np.isfinite(mesh.planes.normal).all()
+    exact = with_exact_faces(mesh, 0.2)
+    assert exact.is_closed and np.isfinite(exact.vertex_m).all()
+    assert exact.volume_m3 == pytest.approx(mesh.volume_m3, rel=0.01)

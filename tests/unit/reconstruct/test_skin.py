@@ -11,9 +11,12 @@ import shapely
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kernel_unions import union
 from skin_solids import Solid, assert_closed, gable, solid, united, volume
 
+from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.reconstruct.skin import Skin, skins
+from p2wss.reconstruct.skin.common_roofs import MAX_STEP_M
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
@@ -113,6 +116,59 @@ def test_gables_of_different_pitch_cross() -> None:
     assert (
         wall_area(skin) < wall_area(skins(dict([first]))[0]) + wall_area(skins(dict([second]))[0]) - 2 * 8 * 5
     )
+
+
+def smallest_deg(skin: Skin) -> float:
+    corner = skin.mesh.vertex_m[skin.mesh.triangle]
+    return float(np.degrees(trimesh.triangles.angles(corner).min()))
+
+
+@pytest.mark.parametrize("pitch_deg", [40.0, 40.4])
+def test_roofs_a_little_apart_meet_and_stay_planar(pitch_deg: float) -> None:
+    """Eaves 3 cm apart, ridges up to 8 cm: without planes that move there is a band between the roofs."""
+    houses = [gable("a", (0, 0, 8, 6), 5, 40), gable("b", (0, 6, 8, 12), 5.03, pitch_deg)]
+    (skin,) = skins(dict(houses))
+    assert_closed(skin)
+    assert trimesh.triangles.angles(skin.mesh.corner_m).min() > np.radians(10) and skin.mesh.edge_m.min() > 3
+    assert volume(skin.mesh.vertex_m, skin.mesh.triangle) == pytest.approx(united(houses).volume(), rel=1e-3)
+    for label in np.unique(skin.mesh.label):
+        corner_m = skin.mesh.corner_m[skin.mesh.label == label].reshape(-1, 3)
+        corner_m = corner_m - corner_m.mean(axis=0)
+        assert np.abs(corner_m @ np.linalg.svd(corner_m)[2][2]).max() < 1e-5
+    assert np.abs(skin.mesh.doubled_m2[skin.mesh.kind == FaceKind.WALL, 2]).max() < 1e-9
+
+
+def test_walls_between_roofs_meet_if_they_are_a_little_apart() -> None:
+    """Both houses have a low and a high part; where these meet differs by 4 cm. The ends of the houses stay."""
+    plans = [((0, 0, 5, 6), 4), ((5, 0, 9, 6), 7)], [((0, 6, 5.04, 12), 4), ((5.04, 6, 9, 12), 7)]
+    houses = [
+        Solid(
+            name,
+            union(
+                [
+                    FittedRoof([shapely.get_coordinates(shapely.box(*box))[:-1]], np.full(4, 90.0), z, 0.0)
+                    for box, z in parts
+                ]
+            ),
+        )
+        for name, parts in zip("ab", plans, strict=True)
+    ]
+    (skin,) = skins(dict(houses))
+    assert_closed(skin)
+    assert skin.mesh.edge_m.min() > 2 and wall_area(skin) == pytest.approx(42 * 4 + 32 * 3, abs=0.2)
+    x_m = skin.mesh.vertex_m[:, 0]
+    assert set(x_m[(x_m < 4) | (x_m > 6)].round(9).tolist()) == {0, 9}
+    assert x_m[(x_m > 4) & (x_m < 6)] == pytest.approx(5.02, abs=0.021)
+
+
+def test_some_steps_stay_where_vertices_would_move_too_far() -> None:
+    row = [solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.09 * k) for k in range(5)]
+    (skin,) = skins(dict(row))
+    assert_closed(skin)
+    roof_m = skin.mesh.vertex_m[np.unique(skin.mesh.triangle[skin.mesh.kind == FaceKind.FLAT])]
+    levels_m = np.unique(roof_m[:, 2].round(3))
+    assert 1 < len(levels_m) < 5
+    assert np.abs(roof_m[:, 2] - 5 - 0.09 * (roof_m[:, 0] // 8)).max() < MAX_STEP_M + 0.09
 
 
 def test_houses_around_a_courtyard() -> None:

@@ -16,7 +16,6 @@ import scipy
 import shapely
 
 from p2wss.fit.directions import directions
-from p2wss.fit.mesh.short_edges import CAP_M
 from p2wss.fit.mesh.simplification import is_sound, simplified
 from p2wss.fit.settings import Chimneys
 from p2wss.mesh import Mesh
@@ -36,6 +35,8 @@ _SAME_DEG = 4.0
 _WIDER_M = (0.0, 0.05, 0.1)
 # vertices below this height are those of the floor
 _FLOOR_M = 1e-3
+# larger residuals count as this, as in the fit
+_CAP_M = 1.0
 # a narrow row of returns beside a wall is from the edge of the roof on its other side
 _THIN_M, _BESIDE_WALL_M = 0.2, 0.3
 # the roof around a chimney has returns within this distance, most of which are this close to its planes
@@ -122,7 +123,7 @@ def _chimney(
         return None
     if not around.any() or (around & on_roof).sum() < chimneys.around_share * around.sum():
         return None
-    gain = np.minimum(np.abs(above_m[within]), CAP_M) - np.minimum(np.abs(point_m[within, 2] - top), CAP_M)
+    gain = np.minimum(np.abs(above_m[within]), _CAP_M) - np.minimum(np.abs(point_m[within, 2] - top), _CAP_M)
     return Chimney(low, high, top) if gain.sum() >= chimneys.price_m else None
 
 

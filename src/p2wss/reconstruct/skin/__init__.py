@@ -13,6 +13,7 @@ import numpy as np
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
+from p2wss.reconstruct.skin.common_roofs import with_common_roofs
 from p2wss.reconstruct.skin.noding import node
 from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
 from p2wss.reconstruct.skin.solids import (
@@ -72,7 +73,8 @@ def _joined(solids: Mapping[str, Mesh], origin: np.ndarray) -> list[Skin]:
     failure = None
     if len(solids) > 1:
         try:
-            return [_skin(list(solids), *_block(list(solids.values())), origin)]
+            joined = with_common_roofs(list(solids.values()))
+            return [_skin(list(solids), *_block(joined), origin)]
         except NotJoined as error:
             failure = str(error)
     return [_skin([name], *faces_of([mesh]), origin, failure) for name, mesh in solids.items()]

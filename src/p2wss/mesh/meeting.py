@@ -1,0 +1,125 @@
+"""Planes of a mesh moved by as little as possible, so that those at a place meet in one point."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from p2wss.mesh.mesh import Mesh
+from p2wss.skeleton.types import FaceKind
+
+# what moves by less than this stays, to the bit
+_EXACT_M = 1e-6
+# how much more the heights that a slope of a level roof makes count than others; roofs narrower than the second share
+# of their length have no slope across
+_STIFF, _THIN = 100.0, 1e-12
+# planes that meet in a line this nearly leave their point where it is along the line
+_RANK = 1e-2
+# changes of planes that move no vertex by more than the square root of this share of themselves are not made
+_NO_CHANGE = 1e-10
+_NUM_ROUNDS = 4
+
+
+def with_meeting_planes(
+    mesh: Mesh, place: np.ndarray, more: Collection[tuple[int, int]] = ()
+) -> tuple[Mesh, np.ndarray]:
+    """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
+    planes of each vertex are from it, (v,), where they cannot).
+
+    place: int (v,): vertices of one number become one point. more: (vertex, plane of ``mesh.planes``), further planes
+    through the places of vertices. Roofs may tilt, walls between roofs shift; floors and the walls on them stay.
+    Conditions are linear in the changes of the planes while vertices stay; as they follow their planes, the least
+    squares are solved a few times.
+    """
+    planes = mesh.planes
+    corner = np.unique(np.column_stack([mesh.triangle.ravel(), np.repeat(planes.number, 3)]), axis=0)
+    row, base, scale = _equations(mesh, corner)
+    _, place = np.unique(place, return_inverse=True)
+    pairs = np.concatenate([corner, np.array(list(more), int).reshape(-1, 2)])
+    at, plane = np.unique(np.column_stack([place[pairs[:, 0]], pairs[:, 1]]), axis=0).T
+    # any vertex of a place tells where its planes are, as they are linear
+    first = np.unique(place, return_index=True)[1]
+    vertex_m = mesh.vertex_m[first]
+    count = np.bincount(at)
+    slot = np.arange(len(at)) - (np.cumsum(count) - count)[at]
+    size = len(first), count.max()
+    is_there = np.zeros(size, bool)
+    is_there[at, slot] = True
+    of_slot = np.zeros(size, int)
+    of_slot[at, slot] = plane
+    num = len(row)
+    change = np.zeros((num, 3))
+    off_m = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]
+    if len(first) == len(place) and not len(more) and np.abs(off_m).max() < _EXACT_M:
+        return mesh, np.abs(off_m).max(axis=1)
+    for _ in range(_NUM_ROUNDS):
+        normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        to_meet = np.linalg.pinv(normal, _RANK)
+        # what is left of the distances of planes from a point wherever it is
+        apart = np.eye(size[1]) - normal @ to_meet
+        square, right = np.zeros((num, num, 3, 3)), np.zeros((num, 3))
+        blocks = apart[..., None, None] * lever[:, :, None, :, None] * lever[:, None, :, None, :]
+        np.add.at(square, (of_slot[:, :, None], of_slot[:, None]), blocks)
+        np.add.at(right, of_slot, (apart @ off_m[..., None]) * lever)
+        matrix = square.transpose(0, 2, 1, 3).reshape(3 * num, 3 * num) + _NO_CHANGE * np.eye(3 * num)
+        change -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)
+        normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
+    apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
+    moved_m = vertex_m[place]
+    stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
+    return mesh.moved(np.where(stays, mesh.vertex_m, moved_m)), apart_m[place]
+
+
+def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(row (p, 3), base (p, 3), scale (p, 3, 3)) of planes: those points are on one whose distance from its base point
+    has no product with the row. For roofs, the row is the slopes and -1, for others the normal. A change of a plane,
+    times the scale, is one of the slopes and the offset; so scaled, it is as long as that of its vertices' heights.
+
+    corner: (n, 2), vertices and their planes.
+    """
+    planes = mesh.planes
+    vertex, plane = corner.T
+    size = np.bincount(plane)
+    base = np.column_stack([np.bincount(plane, mesh.vertex_m[vertex, k]) / size for k in range(3)])
+    from_base = mesh.vertex_m[vertex] - base[plane]
+    lever = np.column_stack([from_base[:, :2], np.ones(len(vertex))])
+    square, to_height = np.zeros((len(size), 3, 3)), np.zeros((len(size), 3, 1))
+    np.add.at(square, plane, lever[:, :, None] * lever[:, None])
+    np.add.at(to_height, plane, (lever * from_base[:, 2:])[..., None])
+    row = planes.normal.copy()
+    is_roof = (planes.kind != FaceKind.WALL) & (planes.kind != FaceKind.GROUND)
+    fitted = (np.linalg.pinv(square[is_roof], _THIN, hermitian=True) @ to_height[is_roof])[..., 0]
+    row[is_roof] = np.column_stack([fitted[:, :2], np.full(len(fitted), -1)])
+    stiff = np.ones((len(size), 3))
+    stiff[planes.kind == FaceKind.FLAT, :2] = _STIFF
+    length, axes = np.linalg.eigh(square * stiff[:, None] * stiff[..., None])
+    scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
+    # walls shift only, unless they stand on a floor
+    on_floor = np.unique(vertex[planes.kind[plane] == FaceKind.GROUND])
+    stays = planes.kind == FaceKind.GROUND
+    stays[plane[np.isin(vertex, on_floor)]] = True
+    scale[~is_roof] = 0
+    scale[~is_roof, 2, 2] = np.where(stays, 0, 1 / np.sqrt(size))[~is_roof]
+    return row, base, scale
+
+
+def _at_places(
+    row: np.ndarray,
+    base: np.ndarray,
+    scale: np.ndarray,
+    change: np.ndarray,
+    vertex_m: np.ndarray,
+    of_slot: np.ndarray,
+    is_there: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(rows (n, k, 3) of the planes at places, how far each plane is from its place, and how much further by a change
+    of the plane (n, k, 3))."""
+    tilt = (scale @ change[..., None])[..., 0]
+    from_base = vertex_m[:, None] - base[of_slot]
+    lever = np.concatenate([from_base[..., :2], np.ones((*of_slot.shape, 1))], axis=2)
+    normal = row + np.column_stack([tilt[:, :2], np.zeros(len(tilt))])
+    off_m = (normal[of_slot] * from_base).sum(axis=2) + tilt[of_slot, 2]
+    mask = is_there[..., None]
+    return normal[of_slot] * mask, off_m * is_there, (lever[:, :, None] @ scale[of_slot])[:, :, 0] * mask
