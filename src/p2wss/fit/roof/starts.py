@@ -6,14 +6,14 @@ import numpy as np
 
 from p2wss.fit.roof.work import Polygon
 from p2wss.fit.settings import SEARCHING
-from p2wss.skeleton.compiled import allocating, entry
+from p2wss.skeleton.compiled import allocating, both, entry
 from p2wss.skeleton.ordering import stable_order
 
 # edges whose directions differ by less face the same way
 _SAME_DIRECTION_DEG = 12.0
 
 
-@entry
+@both
 def edge_groups(polygon: Polygon):
     """(direction, axis, bearing, length) of the edges of rings. direction: int64, the same number where edges
     face the same way; axis: int64, the same number where they are parallel; number 0 has the greatest total
