@@ -12,9 +12,8 @@ import gc
 import inspect
 import logging
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable
+from functools import cache, cached_property
 from hashlib import blake2b
 from itertools import count
 from pathlib import Path
@@ -24,7 +23,12 @@ import numpy as np
 from llvmlite import binding
 from numba import config, njit, typeof, types
 from numba.core import cgutils, event
-from numba.core.caching import FunctionCache, InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.caching import (
+    FunctionCache,
+    InTreeCacheLocator,
+    UserProvidedCacheLocator,
+    UserWideCacheLocator,
+)
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.errors import TypingError
@@ -118,36 +122,43 @@ def cache_folder() -> Path | None:
     return None if locator is None else Path(locator.get_cache_path())
 
 
-@contextmanager
-def _our_locator() -> Iterator[None]:
-    before = config.CACHE_LOCATOR_CLASSES
-    config.CACHE_LOCATOR_CLASSES = f"{__name__}.{CacheLocator.__name__}"
-    try:
-        yield
-    finally:
-        config.CACHE_LOCATOR_CLASSES = before
+class _Cache:
+    """The cache of one function. It is opened when the function is called, and loads machine code without what only the
+    compiler needs: that takes a tenth of a second and 30 MB, and the compiler loads it itself."""
 
+    def __init__(self, function: Callable) -> None:
+        self._function = function
+        _digest_of_sources(
+            Path(function.__code__.co_filename)
+        )  # of what is imported now, and not when it is called
 
-class _Cache(FunctionCache):
-    """Loads machine code without what only the compiler needs: that takes a tenth of a second and 30 MB, and it loads it
-    itself."""
+    @cached_property
+    def _opened(self) -> FunctionCache | None:
+        before = config.CACHE_LOCATOR_CLASSES
+        config.CACHE_LOCATOR_CLASSES = f"{__name__}.{CacheLocator.__name__}"
+        try:
+            return FunctionCache(self._function)
+        except RuntimeError:  # no folder to write to: every process compiles anew
+            _notice.is_cached = False
+            return None
+        finally:
+            config.CACHE_LOCATOR_CLASSES = before
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # what machine code calls: allocation, for instance
         for name, address in c_helpers.items():
             binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
-        return self._load_overload(sig, target_context)
+        return self._opened and self._opened._load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        if self._opened:
+            self._opened.save_overload(sig, data)
 
 
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
     def decorate(function: Callable) -> Any:
-        common = {"nogil": True, "error_model": "numpy", **options}
-        result = njit(**common)(function)
-        with _our_locator():
-            try:
-                result._cache = _Cache(function)
-            except RuntimeError:  # no folder to write to: every process compiles anew
-                _notice.is_cached = False
+        result = njit(nogil=True, error_model="numpy", **options)(function)
+        result._cache = _Cache(function)
         return result
 
     return decorate
@@ -227,11 +238,15 @@ class _Alone(JITCodeLibrary):
     become a part of callers, the names in it are stored. Parsing bitcode would be half of the time of loading."""
 
     def _get_module_for_linking(self) -> Any:
-        raise TypeError(f"{self.name}: only Python may call a function decorated with entry; else decorate it with both")
+        raise TypeError(
+            f"{self.name}: decorated with entry, so only for Python; with both it may be called here"
+        )
 
     def serialize_using_object_code(self) -> tuple:
         module = self._final_module
-        names = [each.name for each in (*module.functions, *module.global_variables) if not each.is_declaration]
+        names = [
+            each.name for each in (*module.functions, *module.global_variables) if not each.is_declaration
+        ]
         stub = binding.parse_assembly("\n".join(f'@"{name}" = global i8 0' for name in names))
         return self.name, "object", (self._get_compiled_object(), stub.as_bitcode())
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from p2wss.fit.roof.work import Polygon
 from p2wss.fit.settings import SEARCHING
-from p2wss.skeleton.compiled import allocating, both, entry
+from p2wss.skeleton.compiled import allocating, both
 from p2wss.skeleton.ordering import stable_order
 
 # edges whose directions differ by less face the same way
