@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
@@ -38,7 +39,10 @@ class Fitter:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._work: FitWork = linked_work(32, 1024)
+
+    @cached_property
+    def _work(self) -> FitWork:
+        return linked_work(32, 1024)
 
     @property
     def num_evaluations(self) -> int:
