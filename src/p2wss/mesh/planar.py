@@ -29,21 +29,23 @@ _RANKS = (1e-2, 1e-3, 1e-6)
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
     """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible
-    (:func:`with_planar_roofs`), and without those edges shorter than ``short_m`` that can go, the shortest first.
+    (:meth:`_Roofs.as_planes`), and without those edges shorter than ``short_m`` that can go, the shortest first.
 
     An edge goes if one of its ends can move to the other one along the walls that meet in it, the mesh stays a
     manifold, and its roofs can be planes again.
     """
     straight = _with_straight_walls(mesh)
-    result: Mesh | None = with_planar_roofs(straight, mesh) or with_planar_roofs(mesh, mesh) or straight
+    roofs = _Roofs(mesh)
+    result: Mesh | None = roofs.as_planes(straight) or roofs.as_planes(mesh) or straight
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
         rows = np.flatnonzero(edge_m < short_m)
+        roofs = _Roofs(mesh) if len(rows) else roofs
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
             end, moved = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
             shorter = _merged(mesh, end, moved) if _can_move(mesh, end, moved) else None
-            result = None if shorter is None else with_planar_roofs(shorter, mesh)
+            result = None if shorter is None else roofs.as_planes(shorter)
             if result is not None and _num_thin(result) > _num_thin(mesh):
                 # the other end of a step that went
                 result = with_exact_faces(result, _NO_HEIGHT_M)
@@ -125,8 +127,8 @@ def _faults(mesh: Mesh) -> tuple[int, float]:
 def _corners(mesh: Mesh) -> np.ndarray:
     """int (2, n): the vertices of roofs, and the labels of these."""
     is_roof = (mesh.kind != FaceKind.WALL) & (mesh.kind != FaceKind.GROUND)
-    pairs = np.column_stack([mesh.triangle[is_roof].ravel(), np.repeat(mesh.label[is_roof], 3)])
-    return np.unique(pairs, axis=0).T
+    vertex, size = mesh.triangle[is_roof].astype(np.int64), int(mesh.label.max(initial=0)) + 1
+    return np.stack(np.divmod(np.unique(vertex * size + mesh.label[is_roof, None]), size))
 
 
 def _places(from_middle_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -134,52 +136,61 @@ def _places(from_middle_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([from_middle_m[:, :2], np.ones(len(from_middle_m))]), from_middle_m[:, 2]
 
 
-def with_planar_roofs(mesh: Mesh, before: Mesh) -> Mesh | None:
-    """The mesh whose roofs are planes, after the smallest change of their heights that does so; None if no change of
-    centimetres makes them so, or at least as planar as those of the mesh ``before``.
+class _Roofs:
+    """The roofs of a mesh, and what a change of their planes costs."""
 
-    Vertices keep their place in plan, so walls stay as they are. Where several roofs meet, their planes must have one
-    height: that is linear in the coefficients of the planes, whose change follows from least squares.
-    """
-    vertex, label = _corners(before)
-    roofs, roof = np.unique(label, return_inverse=True)
-    size = np.bincount(roof)
-    middle_m = np.column_stack([np.bincount(roof, before.vertex_m[vertex, axis]) / size for axis in range(3)])
-    place, height_m = _places(before.vertex_m[vertex] - middle_m[roof])
-    square, to_height = np.zeros((len(roofs), 3, 3)), np.zeros((len(roofs), 3, 1))
-    np.add.at(square, roof, place[:, :, None] * place[:, None])
-    np.add.at(to_height, roof, (place * height_m[:, None])[..., None])
-    coefficient = (np.linalg.pinv(square, _THIN, hermitian=True) @ to_height)[..., 0]
-    # so scaled, a change of coefficients is as long as that of the heights of the vertices; level roofs stay level
-    stiff = np.ones((len(roofs), 3))
-    stiff[before.planes.kind[np.searchsorted(np.unique(before.label), roofs)] == FaceKind.FLAT, :2] = _STIFF
-    length, axes = np.linalg.eigh(square * stiff[:, None] * stiff[..., None])
-    scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
-
-    vertex, label = _corners(mesh)
-    roof = np.searchsorted(roofs, label)
-    place, height_m = _places(mesh.vertex_m[vertex] - middle_m[roof])
-    fitted_m = (place * coefficient[roof]).sum(axis=1)
-    if np.abs(fitted_m - height_m).max(initial=0.0) < _EXACT_M:
-        return mesh
-    scaled = (place[:, None] @ scale[roof])[:, 0]
-    # each roof at a vertex but the first has its height there
-    is_next = np.flatnonzero(np.diff(vertex, prepend=-1) == 0)
-    condition = np.zeros((len(is_next), len(roofs), 3))
-    condition[np.arange(len(is_next)), roof[is_next]] = scaled[is_next]
-    condition[np.arange(len(is_next)), roof[is_next - 1]] = -scaled[is_next - 1]
-    most_turned, most_off_m = _faults(before)
-    fitted_m += middle_m[roof, 2]
-    wrong_m = fitted_m[is_next - 1] - fitted_m[is_next]
-    for rank in _RANKS:
-        change = np.linalg.lstsq(condition.reshape(len(is_next), 3 * len(roofs)), wrong_m, rank)[0].reshape(
-            -1, 3
+    def __init__(self, before: Mesh) -> None:
+        vertex, label = _corners(before)
+        self._labels, roof = np.unique(label, return_inverse=True)
+        size = np.bincount(roof)
+        self._middle_m = np.column_stack(
+            [np.bincount(roof, before.vertex_m[vertex, axis]) / size for axis in range(3)]
         )
-        vertex_m = mesh.vertex_m.copy()
-        vertex_m[vertex, 2] = fitted_m + (scaled * change[roof]).sum(axis=1)
-        moved = mesh.moved(vertex_m)
-        num_turned, off_m = _faults(moved)
-        is_far = np.abs(vertex_m - mesh.vertex_m).max() > _MAX_MOVE_M
-        if num_turned <= most_turned and off_m <= max(most_off_m, _PLANAR_M) and not is_far:
-            return moved
-    return None
+        place, height_m = _places(before.vertex_m[vertex] - self._middle_m[roof])
+        square, to_height = np.zeros((len(size), 3, 3)), np.zeros((len(size), 3, 1))
+        np.add.at(square, roof, place[:, :, None] * place[:, None])
+        np.add.at(to_height, roof, (place * height_m[:, None])[..., None])
+        self._coefficient = (np.linalg.pinv(square, _THIN, hermitian=True) @ to_height)[..., 0]
+        # so scaled, a change of coefficients is as long as that of the heights of the vertices; level roofs stay level
+        stiff = np.ones((len(size), 3))
+        kind = before.planes.kind[np.searchsorted(np.unique(before.label), self._labels)]
+        stiff[kind == FaceKind.FLAT, :2] = _STIFF
+        length, axes = np.linalg.eigh(square * stiff[:, None] * stiff[..., None])
+        self._scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
+        self._most_turned, self._most_off_m = _faults(before)
+
+    def as_planes(self, mesh: Mesh) -> Mesh | None:
+        """The mesh whose roofs are planes, after the smallest change of their heights that does so; None if no change
+        of centimetres makes them so, or at least as planar as those of the mesh before. mesh: with the same labels.
+
+        Vertices keep their place in plan, so walls stay as they are. Where several roofs meet, their planes must have
+        one height: that is linear in the coefficients of the planes, whose change follows from least squares.
+        """
+        vertex, label = _corners(mesh)
+        roof = np.searchsorted(self._labels, label)
+        place, height_m = _places(mesh.vertex_m[vertex] - self._middle_m[roof])
+        fitted_m = (place * self._coefficient[roof]).sum(axis=1)
+        if np.abs(fitted_m - height_m).max(initial=0.0) < _EXACT_M:
+            return mesh
+        scaled = (place[:, None] @ self._scale[roof])[:, 0]
+        # each roof at a vertex but the first has its height there
+        is_next = np.flatnonzero(np.diff(vertex, prepend=-1) == 0)
+        condition = np.zeros((len(is_next), len(self._labels), 3))
+        condition[np.arange(len(is_next)), roof[is_next]] = scaled[is_next]
+        condition[np.arange(len(is_next)), roof[is_next - 1]] = -scaled[is_next - 1]
+        fitted_m += self._middle_m[roof, 2]
+        wrong_m = fitted_m[is_next - 1] - fitted_m[is_next]
+        of_condition, value, of_change = np.linalg.svd(
+            condition.reshape(len(is_next), 3 * len(self._labels)), full_matrices=False
+        )
+        for rank in _RANKS:
+            used = value > rank * value.max(initial=0.0)
+            change = (of_condition.T @ wrong_m)[used] / value[used] @ of_change[used]
+            vertex_m = mesh.vertex_m.copy()
+            vertex_m[vertex, 2] = fitted_m + (scaled * change.reshape(-1, 3)[roof]).sum(axis=1)
+            moved = mesh.moved(vertex_m)
+            num_turned, off_m = _faults(moved)
+            is_far = np.abs(vertex_m - mesh.vertex_m).max() > _MAX_MOVE_M
+            if num_turned <= self._most_turned and off_m <= max(self._most_off_m, _PLANAR_M) and not is_far:
+                return moved
+        return None
