@@ -37,13 +37,17 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
     straight = _with_straight_walls(mesh)
     roofs = _Roofs(mesh)
     result: Mesh | None = roofs.as_planes(straight) or roofs.as_planes(mesh) or straight
+    failed: set[bytes] = set()
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
         rows = np.flatnonzero(edge_m < short_m)
         roofs = _Roofs(mesh) if len(rows) else roofs
-        for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
-            end, moved = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
+        ends = np.column_stack([mesh.triangle.flat[rows], mesh.triangle[:, NEXT].flat[rows]])
+        place = [each.tobytes() for each in mesh.vertex_m[ends, :2]]
+        # those that could not go before others went are tried again at last
+        for k in np.lexsort((edge_m[rows], [each in failed for each in place])).tolist():
+            end, moved = ends[k].tolist()
             shorter = _merged(mesh, end, moved) if _can_move(mesh, end, moved) else None
             result = None if shorter is None else roofs.as_planes(shorter)
             if result is not None and _num_thin(result) > _num_thin(mesh):
@@ -52,6 +56,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
                 result = None if _num_thin(result) > _num_thin(mesh) else result
             if result is not None:
                 break
+            failed.add(place[k])
     return mesh
 
 
