@@ -46,7 +46,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
         ends = np.column_stack([mesh.triangle.flat[rows], mesh.triangle[:, NEXT].flat[rows]])
         place = [each.tobytes() for each in mesh.vertex_m[ends, :2]]
         # those that could not go before others went are tried again at last
-        for k in np.lexsort((edge_m[rows], [each in failed for each in place])).tolist():
+        for k in np.lexsort((edge_m[rows], np.array([each in failed for each in place]))).tolist():
             end, moved = ends[k].tolist()
             shorter = _merged(mesh, end, moved) if _can_move(mesh, end, moved) else None
             result = None if shorter is None else roofs.as_planes(shorter)
