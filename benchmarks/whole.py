@@ -1,39 +1,81 @@
-"""What a whole run of ``p2wss reconstruct`` costs beside Roofer, on 74 houses; the last line is JSON.
+"""What a whole run of ``p2wss reconstruct`` costs, of houses beside Roofer and of large blocks; the last line is JSON.
 
-    python benchmarks/whole.py --data ../shared/data
+    python benchmarks/whole.py --data ../shared/data [--copies 106]
 
-The data (AHN3, 15 points per m², row houses in Delft) are not part of the project. Runs of p2wss, of p2wss with a
-quarter of the footprints and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is installed) alternate, so that
-other work on the machine slows all of them. Each figure is that of the run with the least CPU time, divided by how much
-slower than usual the machine is (``figures.slowness``). A further house: the difference of the two runs of p2wss.
-Without the network, on one thread, with the default outputs.
+The data (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks) are not part of the project. Runs of
+all 74 houses, of a quarter of them, of the blocks and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is
+installed) alternate, so that other work on the machine slows all of them. Each figure is that of the run with the
+least CPU time, divided by how much slower than usual the machine is (``figures.slowness``). A further house: the
+difference of the two runs of p2wss, and with it the start, which is taken off the blocks. Without the network, on
+one thread, with the default outputs. ``--copies``: also a town of so many copies of the houses, first with the
+default outputs, then as a scene for radar: skins, GLB and Sionna's files.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 import tempfile
 from pathlib import Path
 
 import geopandas as gpd
+import laspy
+import numpy as np
+import pandas as pd
 from figures import Figures, Run, run, slowness
 
 # CPU seconds per building of Roofer 1.1.0-beta.1, recorded on two cores with other work
 ROOFER_S = 2.85 / 160
 NUM_FEW = 18
+# of a town of copies, beside each other
+STEP_M, NUM_COLUMNS = (125.0, 150.0), 10
+# tells what writing takes
+WRITING = """
+import json, sys, time
+from p2wss.cli import main
+from p2wss.reconstruct import exports
+write = exports.write
+def timed(*arguments):
+    start = time.process_time()
+    written = write(*arguments)
+    print(json.dumps({"cpu_s": time.process_time() - start}), flush=True)
+    return written
+exports.write = timed
+main(sys.argv[1:])
+"""
+RADAR_SCENE = json.dumps({"reconstruct": {"outputs": ["glb", "sionna"], "skin": True}})
+
+
+def town(place: Path, num_copies: int, folder: Path) -> tuple[Path, Path]:
+    """(clouds, footprints) of so many copies of a place."""
+    cloud, houses = laspy.read(place / "ahn3.laz"), gpd.read_file(place / "footprints.gpkg")
+    (folder / "clouds").mkdir()
+    copies, x_m, y_m = [], np.array(cloud.x), np.array(cloud.y)
+    for number in range(num_copies):
+        east_m, north_m = np.multiply(divmod(number, NUM_COLUMNS), STEP_M)
+        cloud.x, cloud.y = x_m + east_m, y_m + north_m
+        cloud.write(folder / "clouds" / f"{number}.laz")
+        copies.append(houses[["geometry"]].set_geometry(houses.translate(east_m, north_m)))
+    gpd.GeoDataFrame(pd.concat(copies, ignore_index=True)).to_file(folder / "town.gpkg")
+    return folder / "clouds", folder / "town.gpkg"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True, help="folder with delft_ahn3")
+    parser.add_argument("--data", type=Path, required=True, help="folder with delft_ahn3, lidarhd_crops")
+    parser.add_argument(
+        "--copies", type=int, default=0, help="of the houses, as a town: 106 are 7,844 houses"
+    )
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
     place = arguments.data / "delft_ahn3"
     cloud, footprints = place / "ahn3.laz", place / "footprints.gpkg"
     figures = Figures()
     houses = gpd.read_file(footprints)
+    blocks = arguments.data / "lidarhd_crops"
+    num_blocks = len(gpd.read_file(blocks / "footprints.gpkg"))
     runs: dict[str, list[Run]] = {}
     factors = []
     with tempfile.TemporaryDirectory() as name:
@@ -45,6 +87,14 @@ def main() -> int:
             "all houses": [*p2wss, footprints, out, "--model", "none"],
             "few houses": [*p2wss, few, out, "--model", "none"],
             "two threads": [*p2wss, footprints, out, "--model", "none", "--threads", "2"],
+            "blocks": [
+                *p2wss[:-1],
+                *blocks.glob("*69.laz"),
+                blocks / "footprints.gpkg",
+                out,
+                "--model",
+                "none",
+            ],
         }
         if shutil.which("roofer"):
             commands["Roofer"] = ["roofer", "-j", "2", cloud, footprints, Path(name, "roofer")]
@@ -53,6 +103,11 @@ def main() -> int:
             factors.append(slowness())
             for title, command in commands.items():
                 runs.setdefault(title, []).append(run(command))
+        if arguments.copies:
+            inputs = [*town(place, arguments.copies, Path(name)), out, "--model", "none", "--quiet"]
+            runs["town"] = [run([*p2wss[:-1], *inputs])]
+            timed = [sys.executable, "-c", WRITING, "reconstruct", *inputs, "--config", RADAR_SCENE]
+            runs["radar scene"] = [run(timed)]
     factor = min(factors)
     best = {title: min(each) for title, each in runs.items()}
     for title, each in best.items():
@@ -63,11 +118,22 @@ def main() -> int:
     roofer_s = best["Roofer"].cpu_s / len(houses) if "Roofer" in best else ROOFER_S * factor
     further_s = further / (len(houses) - NUM_FEW)
     print(f"a further house costs {further_s / roofer_s:.1f} times as much as one of Roofer's")
+    start_s = best["few houses"].cpu_s - NUM_FEW * further_s
     wall_s = [min(each.wall_s for each in runs[title]) for title in ("two threads", "all houses")]
     figures.at_most("whole run, CPU s", whole.cpu_s / factor, 3.5)
     figures.at_most("a further house, CPU ms", 1e3 * further_s / factor, 22)
     figures.at_most("peak, MiB", whole.peak_mib, 300)
     figures.at_most("wall of two threads over one", wall_s[0] / wall_s[1], 0.6)
+    block_s = (best["blocks"].cpu_s - start_s) / num_blocks
+    figures.at_most("a large block without the start, CPU ms", 1e3 * block_s / factor, 150)
+    if arguments.copies:
+        house_s = best["town"].cpu_s / (arguments.copies * len(houses))
+        figures.at_most("a house of the town, CPU ms", 1e3 * house_s / factor, 20)
+        figures.at_most("peak of the town, MiB", best["town"].peak_mib, 800)
+        lines = best["radar scene"].output.splitlines()
+        writing_s = next(json.loads(line)["cpu_s"] for line in lines if line.startswith("{"))
+        figures.at_most("skins, Sionna and GLB of the town, CPU s", writing_s / factor, 30)
+        figures.at_most("peak of the radar scene, MiB", best["radar scene"].peak_mib, 2000)
     return figures.end()
 
 

@@ -64,12 +64,16 @@ _COMPLETE = "_P2WSS_COMPLETE"
 
 
 @contextmanager
-def importing() -> Iterator[None]:
-    """Imports within leave no garbage, and searching it would take a tenth of the start."""
+def importing(without: str = "") -> Iterator[None]:
+    """Imports within leave no garbage, and searching it would take a tenth of the start. without: a package that others
+    import if it is installed, for what this command does not do."""
     gc.disable()
+    sys.modules.setdefault(without, None)  # type: ignore[arg-type]
     try:
         yield
     finally:
+        if sys.modules[without] is None:
+            del sys.modules[without]
         gc.freeze()
         gc.enable()
 
@@ -113,6 +117,8 @@ def main(arguments: list[str] | None = None) -> int:
     the user can fix."""
     # numpy's matrices are small here: threads that wait for each other, spinning, only cost time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # pydantic would look for plugins in all packages that are installed
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     words = sys.argv[1:] if arguments is None else arguments
     log_lines.start(words)
     # laspy both logs and raises errors of broken files; the exception is reported below

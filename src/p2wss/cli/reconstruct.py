@@ -125,7 +125,7 @@ def reconstruct(
         raise click.UsageError("CLOUD, FOOTPRINTS or OUT is missing", context)
     files.check_stem(name or "")
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
-    with importing():
+    with importing(without="requests"):  # of laspy, for clouds at URLs
         from p2wss.reconstruct.inputs import check_inputs
 
     start = time.monotonic()

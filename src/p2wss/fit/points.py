@@ -137,6 +137,12 @@ def shaft_points(
     return np.concatenate(floors)
 
 
+def median(value: np.ndarray) -> float:
+    """The median of some values (n,), of which there is at least one."""
+    ordered = np.sort(value)  # numpy's own takes several times as long for a few values
+    return float(ordered[(len(value) - 1) // 2] + ordered[len(value) // 2]) / 2
+
+
 def even_order(point_m: np.ndarray) -> np.ndarray:
     """Indices of points (m, 3) along a space-filling curve, whatever their order in the file. Every k-th point in
     this order makes an even sample."""

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.fit.points import median
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
         num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
         inner_length_m = np.hypot(*(end - start)) - 2 * RULES.at_corner_m
         gap_m = np.log(2) * (_FAR_M - _NEAR_M) * inner_length_m / max(num_behind, 1)
-        reach_m = min(float(gap_m - np.median(begins_m)), RULES.beyond_m)
+        reach_m = min(float(gap_m - median(begins_m)), RULES.beyond_m)
         outer_m = -reach_m - RULES.near_edge_m
         num_ground, num_building = (
             int(((depth < outer_m) & (depth >= -RULES.beyond_m)).sum()) for depth in (ground_depth_m, depth_m)
@@ -167,7 +168,7 @@ def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:
     begins_m = _begins_m(start, end, point_m, 0.0)
     if not len(begins_m) or np.quantile(begins_m, 0.25) < RULES.min_shift_m:
         return 0.0
-    return float(np.median(begins_m))
+    return median(begins_m)
 
 
 def _beside(
@@ -199,16 +200,11 @@ def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: 
         here = number == k
         bands = [here & (depth > low) & (depth <= low + 1.0) for low in (_NEAR_M, _MIDDLE_M)]
         if min(band.sum() for band in bands) >= RULES.min_points:
-            height_m, next_m = (_median(z[band]) for band in bands)
+            height_m, next_m = (median(z[band]) for band in bands)
             slope = min(max(next_m - height_m, 0.0), RULES.steepest)
             roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
             begins_m.append(depth[here & (z > roof_m - RULES.below_roof_m)].min())
     return np.array(begins_m if len(begins_m) >= RULES.min_bins_share * num_bins else [])
-
-
-def _median(value: np.ndarray) -> float:
-    ordered = np.sort(value)  # numpy's own takes several times as long for a few values
-    return float(ordered[(len(value) - 1) // 2] + ordered[len(value) // 2]) / 2
 
 
 def _is_open(

@@ -40,8 +40,8 @@ class Mesh:
     def of_kernel(cls, meshes: Meshes, index: int) -> Mesh:
         """One mesh of the kernel, which knows the planes of roofs and walls by the edges of the footprint."""
         vertex_m, triangle, kind, edge = meshes.mesh(index)
-        _, label = np.unique(np.column_stack([kind, edge]), axis=0, return_inverse=True)
-        return cls(vertex_m, triangle, kind, label.reshape(-1).astype(np.int32))
+        label = topology.unique_rows(np.column_stack([kind, edge]))[1]
+        return cls(vertex_m, triangle, kind, label.astype(np.int32))
 
     @classmethod
     def of_triangles(cls, vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
@@ -158,7 +158,7 @@ class Planes:
     """The planes of a mesh, numbered from 0 in the order of their labels.
 
     number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. offset_m:
-    (p,), distances from the origin along the normals. area_m2: (p,). at: the planes of each vertex.
+    (p,), distances from the origin along the normals. area_m2: (p,). triangle, num_vertices: of the mesh.
     """
 
     number: np.ndarray
@@ -166,7 +166,8 @@ class Planes:
     normal: np.ndarray
     offset_m: np.ndarray
     area_m2: np.ndarray
-    at: list[set[int]]
+    triangle: np.ndarray
+    num_vertices: int
 
     @classmethod
     def of(cls, mesh: Mesh) -> Planes:
@@ -178,11 +179,16 @@ class Planes:
         kind, offset_m = np.zeros(len(normal), np.uint8), np.zeros(len(normal))
         kind[number] = mesh.kind
         offset_m[number] = (normal[number] * mesh.corner_m[:, 0]).sum(axis=1)
-        at: list[set[int]] = [set() for _ in mesh.vertex_m]
-        for plane, corners in zip(number.tolist(), mesh.triangle.tolist(), strict=True):
+        return cls(number, kind, normal, offset_m, twice_m2 / 2, mesh.triangle, len(mesh.vertex_m))
+
+    @cached_property
+    def at(self) -> list[set[int]]:
+        """The planes of each vertex."""
+        result: list[set[int]] = [set() for _ in range(self.num_vertices)]
+        for plane, corners in zip(self.number.tolist(), self.triangle.tolist(), strict=True):
             for vertex in corners:
-                at[vertex].add(plane)
-        return cls(number, kind, normal, offset_m, twice_m2 / 2, at)
+                result[vertex].add(plane)
+        return result
 
     def table(self, vertices: Sequence[int]) -> np.ndarray:
         """int64 (n, k): the planes of each of some vertices in ascending order, -1 beyond the last."""

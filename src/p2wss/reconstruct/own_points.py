@@ -119,12 +119,13 @@ def _theirs(
     density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
     found = detect(band_m[chosen], density, (), _DETECTION)
     label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]]
+    num_deep, num_near, num_beyond = (
+        np.bincount(label[mask] + 1, minlength=len(found.plane) + 1)[1:] for mask in (deep, near, beyond)
+    )
     is_theirs, is_loose = np.zeros(len(band), bool), label < 0
-    for number in range(len(found.plane)):
+    for number in np.flatnonzero(num_deep <= RULES.deep_share * num_near).tolist():
         on = label == number
-        if (on & ~beyond & ~near).sum() > RULES.deep_share * (on & near).sum():
-            continue
-        if (on & beyond).sum() < RULES.num_points:
+        if num_beyond[number] < RULES.num_points:
             is_loose |= on & (np.hypot(*found.plane[number, :2]) > RULES.steep)
             continue
         other_m = beside_m[on].reshape(-1, 3)

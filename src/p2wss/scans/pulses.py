@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.scans.randomness import normal, random_bits
-from p2wss.skeleton.compiled import entry, inlined
+from p2wss.skeleton.compiled import entry, inlined, inner
 
 BLOCK_PULSES = 32
 CONICAL, PARALLEL, CROSS_FIRE = range(3)
@@ -87,7 +87,7 @@ def empty_rays(room: int) -> Rays:
     return Rays(vectors[0], vectors[1], np.empty(room), np.empty(room, np.int64))
 
 
-@entry
+@inner
 def _platform(path: StripPath, t: float, pose: np.ndarray) -> None:
     """Write drift (3) and rotation matrix (9) of the platform at time ``t`` into ``pose``."""
     position = min(max(t / path.knot_interval_s, 0.0), len(path.knots) - 1.000001)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inlined
+from p2wss.skeleton.compiled import entry, inlined, inner
 
 
 class TerrainGrid(NamedTuple):
@@ -185,7 +185,7 @@ def _range(blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size:
     return np.float64(low), np.float64(high)
 
 
-@entry
+@inner
 def _walk(
     height: np.ndarray, blocks: np.ndarray, ray: Ray, start: float, end: float
 ) -> tuple[float, float, float]:
@@ -211,7 +211,7 @@ def _walk(
     return -1.0, 0.0, 0.0
 
 
-@entry
+@inner
 def _walk_squares(height: np.ndarray, ray: Ray, start: float, end: float) -> tuple[float, float, float]:
     """First crossing between ``start`` and ``end``, square by square. ray: in cells."""
     rows, columns = height.shape

@@ -11,19 +11,25 @@ from __future__ import annotations
 import gc
 import logging
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable
+from functools import cache, cached_property
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from llvmlite import binding
 from numba import config, njit
 from numba.core import event
-from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.caching import (
+    FunctionCache,
+    InTreeCacheLocator,
+    UserProvidedCacheLocator,
+    UserWideCacheLocator,
+)
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.runtime._nrt_python import c_helpers
 from numba.np import linalg
 
 # before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
@@ -110,25 +116,44 @@ def cache_folder() -> Path | None:
     return None if locator is None else Path(locator.get_cache_path())
 
 
-@contextmanager
-def _our_locator() -> Iterator[None]:
-    before = config.CACHE_LOCATOR_CLASSES
-    config.CACHE_LOCATOR_CLASSES = f"{__name__}.{CacheLocator.__name__}"
-    try:
-        yield
-    finally:
-        config.CACHE_LOCATOR_CLASSES = before
+class _Cache:
+    """The cache of one function. It is opened when the function is called, and loads machine code without what only the
+    compiler needs: that takes a tenth of a second and 30 MB, and the compiler loads it itself."""
+
+    def __init__(self, function: Callable) -> None:
+        self._function = function
+        _digest_of_sources(
+            Path(function.__code__.co_filename)
+        )  # of what is imported now, and not when it is called
+
+    @cached_property
+    def _opened(self) -> FunctionCache | None:
+        before = config.CACHE_LOCATOR_CLASSES
+        config.CACHE_LOCATOR_CLASSES = f"{__name__}.{CacheLocator.__name__}"
+        try:
+            return FunctionCache(self._function)
+        except RuntimeError:  # no folder to write to: every process compiles anew
+            _notice.is_cached = False
+            return None
+        finally:
+            config.CACHE_LOCATOR_CLASSES = before
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        # what machine code calls: allocation, for instance
+        for name, address in c_helpers.items():
+            binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+        return self._opened and self._opened._load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        if self._opened:
+            self._opened.save_overload(sig, data)
 
 
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
     def decorate(function: Callable) -> Any:
-        common = {"nogil": True, "error_model": "numpy", **options}
-        with _our_locator():
-            try:
-                return njit(cache=True, **common)(function)
-            except RuntimeError:  # no folder to write to: every process compiles anew
-                _notice.is_cached = False
-                return njit(**common)(function)
+        result = njit(nogil=True, error_model="numpy", **options)(function)
+        result._cache = _Cache(function)
+        return result
 
     return decorate
 
@@ -198,19 +223,41 @@ class _PartOfCallers(JITCodeLibrary):
         return self.serialize_using_bitcode()
 
 
-class _CompilerForCallers(Compiler):
+class _Alone(JITCodeLibrary):
+    """A function that only Python calls, or compiled code at its address: in place of its bitcode, with which it would
+    become a part of callers, the names in it are stored. Parsing bitcode would be half of the time of loading."""
+
+    def _get_module_for_linking(self) -> Any:
+        raise TypeError(
+            f"{self.name}: decorated with entry, so only for Python; with both it may be called here"
+        )
+
+    def serialize_using_object_code(self) -> tuple:
+        module = self._final_module
+        names = [
+            each.name for each in (*module.functions, *module.global_variables) if not each.is_declaration
+        ]
+        stub = binding.parse_assembly("\n".join(f'@"{name}" = global i8 0' for name in names))
+        return self.name, "object", (self._get_compiled_object(), stub.as_bitcode())
+
+
+class _CompilerAsUsed(Compiler):
     def define_pipelines(self) -> list:
-        self.state.library = _PartOfCallers(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        kind = _PartOfCallers if self.state.flags.no_cpython_wrapper else _Alone
+        self.state.library = kind(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.library.enable_object_caching()
         return super().define_pipelines()
 
 
 # called from Python
-entry = _compiled(no_cfunc_wrapper=True)
+entry = _compiled(no_cfunc_wrapper=True, pipeline_class=_CompilerAsUsed)
+# called from Python and from compiled code
+both = _compiled(no_cfunc_wrapper=True)
 # called from compiled code only: compiles faster, without the wrapper for Python
 _for_callers: dict[str, Any] = {
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": _CompilerForCallers,
+    "pipeline_class": _CompilerAsUsed,
 }
 allocating = _compiled(**_for_callers)
 # the same without reference counts of arrays, faster still; such a function cannot create arrays

@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.types import writable
 
 # of a cell of the plan, at least, and of the points that are asked for
-_POINTS_PER_CELL, _SHARE_PER_CELL = 2.0, 0.25
+_POINTS_PER_CELL, _SHARE_PER_CELL = 1.0, 0.25
 
 
 def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -20,48 +21,64 @@ def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[n
     >>> nearest(np.array([[0.0, 0.0], [3.0, 4.0]]), np.zeros((1, 2)), 2)
     (array([[0., 5.]]), array([[0, 1]]))
     """
-    low_m = point_m.min(axis=0)
-    point, place = np.zeros((len(point_m), 3)), np.zeros((len(place_m), 3))
-    point[:, : len(low_m)], place[:, : len(low_m)] = point_m - low_m, place_m - low_m
-    extent_m = point[:, :2].max(axis=0)
-    share = max(_POINTS_PER_CELL, _SHARE_PER_CELL * count) / len(point)
-    cell_m = max((share * extent_m[0] * extent_m[1]) ** 0.5, share * extent_m.max(), 1e-9)
-    column, row = (point[:, :2] / cell_m).astype(np.int64).T
-    num_columns, num_rows = int(column.max()) + 1, int(row.max()) + 1
-    cell = row * num_columns + column
-    order = np.argsort(cell, kind="stable")
-    begin = np.searchsorted(cell[order], np.arange(num_columns * num_rows + 1))
-    squared_m2, number = _nearest(place, point[order], order, begin, (count, num_columns, num_rows), cell_m)
+    squared_m2, number = _nearest(writable(place_m, np.float64), writable(point_m, np.float64), int(count))
     return np.sqrt(squared_m2[:, :count]), number[:, :count]
 
 
 @entry
-def _nearest(
-    place_m: np.ndarray,
-    point_m: np.ndarray,
-    order: np.ndarray,
-    begin: np.ndarray,
-    sizes: tuple[int, int, int],
-    cell_m: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(squared distances, numbers), one more than asked for of each place. point_m: those of the cells of a grid in
-    plan, which ``begin`` there. sizes: the number of points that are sought, of columns and of rows."""
-    count, num_columns, num_rows = sizes
+def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(squared distances, numbers), one more than asked for of each place."""
+    # the points by the cells of a grid in plan
+    size, low_m, extent_m = point_m.shape[1], np.full(3, np.inf), np.zeros(3)
+    for t in range(len(point_m)):
+        for k in range(size):
+            low_m[k] = min(low_m[k], point_m[t, k])
+    for t in range(len(point_m)):
+        for k in range(size):
+            extent_m[k] = max(extent_m[k], point_m[t, k] - low_m[k])
+    share = max(_POINTS_PER_CELL, _SHARE_PER_CELL * count) / len(point_m)
+    cell_m = max((share * extent_m[0] * extent_m[1]) ** 0.5, share * max(extent_m[0], extent_m[1]), 1e-9)
+    num_columns, num_rows = int(extent_m[0] / cell_m) + 1, int(extent_m[1] / cell_m) + 1
+    cell, begin = np.empty(len(point_m), np.int64), np.zeros(num_columns * num_rows + 1, np.int64)
+    for t in range(len(point_m)):
+        column, row = int((point_m[t, 0] - low_m[0]) / cell_m), int((point_m[t, 1] - low_m[1]) / cell_m)
+        cell[t] = row * num_columns + column
+        begin[cell[t] + 1] += 1
+    begin = np.cumsum(begin)
+    order, next_in, sorted_m = np.empty(len(point_m), np.int64), begin.copy(), np.zeros((len(point_m), 3))
+    for t in range(len(point_m)):
+        at = next_in[cell[t]]
+        order[at], next_in[cell[t]] = t, at + 1
+        for k in range(size):
+            sorted_m[at, k] = point_m[t, k] - low_m[k]
     all_squared_m2 = np.full((len(place_m), count + 1), np.inf)
     all_numbers = np.zeros((len(place_m), count + 1), np.int64)
+    place = np.zeros(3)
     for i in range(len(place_m)):
-        squared_m2, number, place = all_squared_m2[i], all_numbers[i], place_m[i]
+        squared_m2, number = all_squared_m2[i], all_numbers[i]
+        for k in range(size):
+            place[k] = place_m[i, k] - low_m[k]
         column = int(min(max(place[0] / cell_m, 0.0), num_columns - 1.0))
         row = int(min(max(place[1] / cell_m, 0.0), num_rows - 1.0))
-        reach, bound_m = 0, 0.0
+        reach, bound_m = 1, 0.0
         while bound_m < np.inf and squared_m2[count - 1] >= bound_m * bound_m:
             left, right, low, high = column - reach, column + reach, row - reach, row + reach
             for r in range(max(low, 0), min(high, num_rows - 1) + 1):
-                for c in range(left, right + 1, 1 if r in (low, high) else right - left):
-                    if not 0 <= c < num_columns:
+                # all cells of the row, or the first and the last one of those between which all were searched before
+                is_whole = reach == 1 or r in (low, high)
+                for first, last in (
+                    (left, right if is_whole else left),
+                    (right, left if is_whole else right),
+                ):
+                    first, last = max(first, 0), min(last, num_columns - 1)
+                    if first > last:
                         continue
-                    for t in range(begin[r * num_columns + c], begin[r * num_columns + c + 1]):
-                        x, y, z = point_m[t, 0] - place[0], point_m[t, 1] - place[1], point_m[t, 2] - place[2]
+                    for t in range(begin[r * num_columns + first], begin[r * num_columns + last + 1]):
+                        x, y, z = (
+                            sorted_m[t, 0] - place[0],
+                            sorted_m[t, 1] - place[1],
+                            sorted_m[t, 2] - place[2],
+                        )
                         near_m2, k = x * x + y * y + z * z, count
                         if near_m2 > squared_m2[count - 1]:
                             continue

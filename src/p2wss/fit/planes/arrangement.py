@@ -10,7 +10,7 @@ import shapely
 
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.planes.lines import Line, as_arrays, edges_of, ends_of
-from p2wss.mesh.topology import reverses
+from p2wss.mesh.topology import reverses, unique_rows
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -71,10 +71,9 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     cells, middle = cells[order], middle[order]
     all_rings, owner = shapely.get_rings(cells, return_index=True)
     xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
-    key = np.round(xy_m / GRID_M).astype(np.int64)
-    _, first, vertex = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    first, vertex = unique_rows(np.round(xy_m / GRID_M).astype(np.int64))
     # the last place of a ring is its first
-    vertex, is_start = vertex.reshape(-1), np.diff(ring_of) == 0
+    is_start = np.diff(ring_of) == 0
     start, end, cell = vertex[:-1][is_start], vertex[1:][is_start], owner[ring_of[:-1][is_start]]
     back = reverses(start, end)
     once = np.flatnonzero((back < 0) | (start < end))

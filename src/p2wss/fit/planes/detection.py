@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.fit.settings import Detection
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import both, entry, inner
 from p2wss.skeleton.nearest import nearest
 
 
@@ -84,7 +84,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     return RoofPlanes(plane, label)
 
 
-@entry
+@both
 def _fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
     """The plane of the points in the first ``num`` of ``rows``."""
     centre = np.zeros(3)

@@ -10,6 +10,7 @@ import shapely
 
 from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import heights
+from p2wss.fit.points import median
 from p2wss.fit.settings import Drawing
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
@@ -79,7 +80,7 @@ def lines_of(
             near = off_m < _OFF_LINE_M
             if near.sum() >= _MIN_BORDER:
                 meets.append(meet.along(border[near], settings.reach_m))
-            if np.median(gap_m) < _STEP_M and near.mean() > 0.7:
+            if median(gap_m) < _STEP_M and near.mean() > 0.7:
                 continue
             sides = [side[np.abs(side @ meet.normal - meet.offset_m) > _OFF_LINE_M] for side in sides]
         if min(map(len, sides)) >= _MIN_BORDER:
@@ -124,7 +125,7 @@ def _borders(
         return {}
     # complex numbers are in the order of their first and then their second coordinate
     place, first = np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)
-    edges = shapely.delaunay_triangles(shapely.multipoints(point_m[rows, :2]), only_edges=True)
+    edges = shapely.delaunay_triangles(shapely.linestrings(point_m[rows, :2]), only_edges=True)
     end = shapely.get_coordinates(edges) @ [1, 1j]
     link = rows[first[np.searchsorted(place, end)]].reshape(-1, 2)
     link = link[label[link[:, 0]] != label[link[:, 1]]]

@@ -8,6 +8,7 @@ import numpy as np
 
 from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance
+from p2wss.fit.points import median
 from p2wss.fit.settings import Detection
 
 # tangents: of a slope that may be level, and of a difference between slopes that may be equal
@@ -29,7 +30,7 @@ def regular(
 
     for i, plane in enumerate(planes.plane):
         own, most_m = point_m[rows[i]], mean_m(plane, i) + slack_m
-        level = np.array([0.0, 0.0, np.median(own[:, 2])])
+        level = np.array([0.0, 0.0, median(own[:, 2])])
         if np.hypot(*plane[:2]) < _NEARLY_LEVEL and mean_m(level, i) < most_m:
             result[i] = level
             continue
@@ -63,7 +64,7 @@ def _equally_steep(
         for j in np.flatnonzero(~is_set & (np.abs(steep - steep[i]) < _NEARLY_EQUAL)).tolist():
             own = point_m[rows[j]]
             equal = plane[j] * np.array([steep[i] / steep[j], steep[i] / steep[j], 0.0])
-            equal[2] = np.median(own[:, 2] - own[:, :2] @ equal[:2])
+            equal[2] = median(own[:, 2] - own[:, :2] @ equal[:2])
             worse_m = mean_distance(equal, point_m, rows[j]) - mean_distance(plane[j], point_m, rows[j])
             if worse_m < slack_m:
                 result[j], is_set[j] = equal, True
