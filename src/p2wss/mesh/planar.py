@@ -144,16 +144,17 @@ def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
 def _flipped(mesh: Mesh) -> Mesh:
     """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
     triangle across the side has that corner, too, and is two."""
-    triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
     for t in np.flatnonzero(_is_thin(mesh) & (mesh.edge_m.min(axis=1) > _NO_HEIGHT_M)).tolist():
         side = int(mesh.edge_m[t].argmax())
-        start, _, corner = np.roll(triangle[t], -side)
+        start, _, corner = np.roll(mesh.triangle[t], -side)
         across, there = divmod(int(mesh.twin[t, side]), 3)
-        end, _, far = np.roll(triangle[across], -there)
-        is_as_it_was = (triangle[[t, across]] == mesh.triangle[[t, across]]).all()
-        if is_as_it_was and not ((triangle == corner).any(axis=1) & (triangle == far).any(axis=1)).any():
-            triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), like[across]
-    return replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
+        end, _, far = np.roll(mesh.triangle[across], -there)
+        triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
+        triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), across
+        result = replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
+        if _is_thin(result).sum() < _is_thin(mesh).sum() and result.is_closed:
+            return _flipped(result)
+    return mesh
 
 
 def _is_thin(mesh: Mesh) -> np.ndarray:
