@@ -52,11 +52,10 @@ def with_meeting_planes(
     moves = scale.any(axis=(1, 2))
     num, unknown = moves.sum(), (np.cumsum(moves) - 1)[of_slot]
     change = np.zeros((len(row), 3))
-    off_m = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]
-    if len(first) == len(place) and not len(more) and np.abs(off_m).max() < _EXACT_M:
-        return mesh, np.abs(off_m).max(axis=1)
     for _ in range(_NUM_ROUNDS):
         normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        if np.abs(off_m).max() < _EXACT_M:
+            break
         to_meet = np.linalg.pinv(normal, _RANK)
         # what is left of the distances of planes from a point wherever it is
         apart = np.eye(size[1]) - normal @ to_meet
@@ -71,7 +70,8 @@ def with_meeting_planes(
     apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
     moved_m = vertex_m[place]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
-    return mesh.moved(np.where(stays, mesh.vertex_m, moved_m)), apart_m[place]
+    moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
+    return moved, apart_m[place]
 
 
 def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
