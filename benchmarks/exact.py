@@ -46,6 +46,8 @@ STRICT = Tolerances(snap_m=1e-2, planar_m=1e-3, fold_deg=1.0)
 FOLD_DEG, TILT_DEG, ANGLE_DEG, ALONG_DEG, WEDGE_DEG = (0.1, 5.0), 0.01, 0.05, 0.1, 1.0
 # by which the rounding of coordinates may move a surface, and where two points or edges are one
 ROUNDED_M, SAME_M = 2e-4, 3e-3
+# roofs are less steep than this; one of Delft has 79 degrees
+STEEPEST_ROOF_NZ = 0.05
 # a wall's middle is nearer than this to the edge of the footprint beside it
 BESIDE_M = 0.5
 
@@ -187,7 +189,7 @@ def measure_faces(city_json: Path, footprints: Path) -> dict[str, float]:
                 shortest_m, *(np.linalg.norm(r - np.roll(r, -1, axis=0), axis=1).min() for r in rings_m)
             )
             normal = area / np.linalg.norm(area)
-            if abs(normal[2]) < 0.2:
+            if abs(normal[2]) < STEEPEST_ROOF_NZ:
                 lean = np.arcsin(abs(normal[2]))
                 height_m = np.ptp(corner[:, 2])
                 num_tilted += np.degrees(lean) > TILT_DEG and lean * height_m > ROUNDED_M

@@ -48,28 +48,30 @@ def with_meeting_planes(
     is_there[at, slot] = True
     of_slot = np.zeros(size, int)
     of_slot[at, slot] = plane
-    num = len(row)
-    change = np.zeros((num, 3))
-    off_m = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]
-    if len(first) == len(place) and not len(more) and np.abs(off_m).max() < _EXACT_M:
-        return mesh, np.abs(off_m).max(axis=1)
+    # planes that stay have no lever, so the number of their unknowns does not matter
+    moves = scale.any(axis=(1, 2))
+    num, unknown = moves.sum(), (np.cumsum(moves) - 1)[of_slot]
+    change = np.zeros((len(row), 3))
     for _ in range(_NUM_ROUNDS):
         normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        if np.abs(off_m).max() < _EXACT_M:
+            break
         to_meet = np.linalg.pinv(normal, _RANK)
         # what is left of the distances of planes from a point wherever it is
         apart = np.eye(size[1]) - normal @ to_meet
         square, right = np.zeros((num, num, 3, 3)), np.zeros((num, 3))
         blocks = apart[..., None, None] * lever[:, :, None, :, None] * lever[:, None, :, None, :]
-        np.add.at(square, (of_slot[:, :, None], of_slot[:, None]), blocks)
-        np.add.at(right, of_slot, (apart @ off_m[..., None]) * lever)
+        np.add.at(square, (unknown[:, :, None], unknown[:, None]), blocks)
+        np.add.at(right, unknown, (apart @ off_m[..., None]) * lever)
         matrix = square.transpose(0, 2, 1, 3).reshape(3 * num, 3 * num) + _NO_CHANGE * np.eye(3 * num)
-        change -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)
+        change[moves] -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)
         normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
         vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
     apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
     moved_m = vertex_m[place]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
-    return mesh.moved(np.where(stays, mesh.vertex_m, moved_m)), apart_m[place]
+    moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
+    return moved, apart_m[place]
 
 
 def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import numpy as np
 from p2wss.mesh.meeting import with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.topology import NEXT
+from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.types import FaceKind
 
 # corners nearer to lines of walls are on them; planes of which a corner stays further than the second figure, or moves
@@ -21,13 +22,16 @@ SHORT_EDGE_M = 0.05
 # a triangle of less height than this has no normal that survives the rounding of a file; one is turned over if twice
 # its area is less than minus the second figure
 _NO_HEIGHT_M, _NO_AREA_M2 = 1e-3, 1e-6
+# with a triangle whose height is a smaller share of its longest side, faces are divided anew
+_NARROW = 0.02
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
     """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible, and
     without those edges shorter than ``short_m`` that can go, the shortest first.
 
-    An edge goes if the planes at both its ends can meet in one point, and the mesh stays a manifold.
+    An edge goes if the planes at both its ends can meet in one point, and the mesh stays a manifold. With slivers, the
+    faces are divided anew.
     """
     straight = _with_straight_walls(mesh)
     each = np.arange(len(mesh.vertex_m))
@@ -50,7 +54,27 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
                 result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
             if result is not None:
                 break
-    return mesh
+    is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
+    return _with_wide_triangles(mesh) if is_narrow.any() else mesh
+
+
+def _with_wide_triangles(mesh: Mesh) -> Mesh:
+    """The mesh whose faces are divided by constrained Delaunay triangulation; the mesh itself if a face is no valid
+    polygon, or has a vertex within."""
+    vertex = [ring for surface in mesh.surfaces for ring in surface.rings]
+    ring = np.repeat(np.arange(len(vertex)), [len(each) for each in vertex])
+    face_of_ring = np.repeat(np.arange(len(mesh.surfaces)), [len(surface.rings) for surface in mesh.surfaces])
+    first = np.unique(mesh.face, return_index=True)[1]
+    normal = mesh.planes.normal[mesh.planes.number[first]]
+    across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    axes = np.stack([across, np.cross(normal, across)], axis=1)[face_of_ring[ring]]
+    corner = np.concatenate(vertex)
+    place_m = (axes @ (mesh.vertex_m[corner] - mesh.vertex_m[0])[..., None])[..., 0]
+    triangle, face = triangulated(place_m, corner, ring, face_of_ring)
+    if len(triangle) != len(mesh.triangle):
+        return mesh
+    return Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
 
 
 def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0) -> Mesh | None:
@@ -120,16 +144,17 @@ def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
 def _flipped(mesh: Mesh) -> Mesh:
     """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
     triangle across the side has that corner, too, and is two."""
-    triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
     for t in np.flatnonzero(_is_thin(mesh) & (mesh.edge_m.min(axis=1) > _NO_HEIGHT_M)).tolist():
         side = int(mesh.edge_m[t].argmax())
-        start, _, corner = np.roll(triangle[t], -side)
+        start, _, corner = np.roll(mesh.triangle[t], -side)
         across, there = divmod(int(mesh.twin[t, side]), 3)
-        end, _, far = np.roll(triangle[across], -there)
-        is_as_it_was = (triangle[[t, across]] == mesh.triangle[[t, across]]).all()
-        if is_as_it_was and not ((triangle == corner).any(axis=1) & (triangle == far).any(axis=1)).any():
-            triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), like[across]
-    return replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
+        end, _, far = np.roll(mesh.triangle[across], -there)
+        triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
+        triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), across
+        result = replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
+        if _is_thin(result).sum() < _is_thin(mesh).sum() and result.is_closed:
+            return _flipped(result)
+    return mesh
 
 
 def _is_thin(mesh: Mesh) -> np.ndarray:

@@ -91,7 +91,28 @@ def test_a_notch_of_the_footprint_stays() -> None:
     ring = np.array([[0, 0], [12, 0], [12, 4], [12.03, 4], [12.03, 8], [0, 8]])
     meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(6, 90.0), np.array([5.0]))
     mesh = Mesh.of_kernel(meshes, 0)
-    assert with_exact_faces(mesh) is mesh and mesh.edge_m.min() == pytest.approx(0.03)
+    exact = with_exact_faces(mesh)
+    assert exact.vertex_m.tolist() == mesh.vertex_m.tolist() and exact.edge_m.min() == pytest.approx(0.03)
+
+
+def test_faces_with_slivers_are_divided_anew() -> None:
+    """A corner of a level roof 15 cm beside the line between its neighbours, cut off by a triangle."""
+    ring = np.array([[0, 0], [12, 0], [12, 8], [6, 8.15], [0, 8]])
+    meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(5, 90.0), np.array([5.0]))
+    mesh = Mesh.of_kernel(meshes, 0)
+    (top,) = (surface for surface in mesh.surfaces if surface.kind == FaceKind.FLAT)
+    corners = np.asarray(top.rings[0])
+    corners = np.roll(corners, -int(mesh.vertex_m[corners, 0].argmin()))
+    if mesh.vertex_m[corners[0], 1] < 8:
+        corners = np.roll(corners, 1)
+    triangle = mesh.triangle.copy()
+    triangle[mesh.face == top.face] = [[corners[0], corners[k], corners[k + 1]] for k in (1, 2, 3)]
+    cut = Mesh(mesh.vertex_m, triangle, mesh.kind, mesh.label)
+    exact = with_exact_faces(cut)
+    assert cut.is_closed and cut.area_m2.min() < 1 < exact.area_m2.min() and exact.is_closed
+    assert exact.vertex_m.tolist() == mesh.vertex_m.tolist()
+    assert exact.volume_m3 == pytest.approx(mesh.volume_m3) and len(exact.triangle) == len(triangle)
+    assert np.bincount(exact.kind, exact.area_m2) == pytest.approx(np.bincount(mesh.kind, mesh.area_m2))
 
 
 def gables(first_m: float, second_m: float) -> Mesh:
