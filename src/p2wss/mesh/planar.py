@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
-from p2wss.mesh.topology import NEXT, unique_rows
+from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.types import FaceKind
 
 # corners nearer to all planes of their roofs are there; roofs that cannot be planes to the second figure stay as they
@@ -67,7 +67,7 @@ def _with_straight_walls(mesh: Mesh) -> Mesh:
     of planes left them.
     """
     planes = mesh.planes
-    column = unique_rows(np.round(mesh.vertex_m[:, :2] / _EXACT_M))[1]
+    column = np.unique(np.round(mesh.vertex_m[:, :2] / _EXACT_M) @ [1, 1j], return_inverse=True)[1]
     num_columns = int(column.max(initial=-1)) + 1
     place_m = np.zeros((num_columns, 2))
     place_m[column] = mesh.vertex_m[:, :2]

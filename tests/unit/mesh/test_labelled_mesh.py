@@ -10,7 +10,7 @@ import pytest
 
 from p2wss import skeleton
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import border_rings, unique_rows
+from p2wss.mesh.topology import border_rings
 from p2wss.skeleton import FaceKind, Polygons
 from p2wss.skeleton.groups import groups
 
@@ -106,12 +106,3 @@ def test_borders_run_as_their_triangles_do() -> None:
 def test_groups_are_numbered_by_their_first_members() -> None:
     assert groups(5, np.array([[4, 1], [2, 3]])).tolist() == [0, 1, 2, 2, 1]
     assert groups(2, np.zeros((0, 2), int)).tolist() == [0, 1]
-
-
-@pytest.mark.parametrize("num_columns", [2, 3])
-def test_different_rows_are_those_of_numpy(num_columns: int) -> None:
-    rows = np.random.default_rng(0).integers(-2, 3, (40, num_columns))
-    for each in (rows, rows[:0]):
-        _, first, number = np.unique(each, axis=0, return_index=True, return_inverse=True)
-        found = unique_rows(each)
-        assert (found[0] == first).all() and (found[1] == number.reshape(-1)).all()
