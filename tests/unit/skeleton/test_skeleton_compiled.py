@@ -72,10 +72,10 @@ def test_an_edit_in_another_file_is_noticed(tmp_path):
 
 def test_what_was_edited_between_import_and_call_is_compiled_again(tmp_path):
     called, cache = package(tmp_path) / "called.py", str(tmp_path / "cache")
-    edit = f"import pathlib; path = pathlib.Path({str(called)!r}); path.write_text(path.read_text().replace('1', '7'))"
+    edit = f"import pathlib; path = pathlib.Path({str(called)!r}); path.write_text(path.read_text().replace('1', '17'))"
     assert run(tmp_path, edit, NUMBA_CACHE_DIR=cache)[0] == 2
     result, log = run(tmp_path, NUMBA_CACHE_DIR=cache)
-    assert result == 8 and NOTICE in log
+    assert result == 18 and NOTICE in log
 
 
 def test_cached_code_is_loaded_without_the_compiler(tmp_path):
@@ -103,7 +103,7 @@ def test_what_only_python_calls_is_no_part_of_compiled_code() -> None:
     def right() -> int:
         return two()
 
-    assert one() == 1 and right() == two() == 2
+    assert one() == 1 and right() == two() == 2  # all of which may come from the cache
     with pytest.raises(TypeError, match="decorated with entry"):
         wrong()
 
