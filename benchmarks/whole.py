@@ -2,13 +2,13 @@
 
     python benchmarks/whole.py --data ../shared/data [--copies 106]
 
-The data (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks) are not part of the project. Runs of
-all 74 houses, of a quarter of them, of the blocks and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is
-installed) alternate, so that other work on the machine slows all of them. Each figure is that of the run with the
-least CPU time, divided by how much slower than usual the machine is (``figures.slowness``). A further house: the
-difference of the two runs of p2wss, and with it the start, which is taken off the blocks. Without the network, on
-one thread, with the default outputs. ``--copies``: also a town of so many copies of the houses, first with the
-default outputs, then as a scene for radar: skins, GLB and Sionna's files.
+The data (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks) are not part of the project. Runs of all
+houses, of a quarter of them, of the blocks and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is installed)
+alternate, so that other work on the machine slows all of them. Each figure is that of the run with the least CPU time,
+divided by how much slower than usual the machine is (``figures.slowness``). A further house: the difference of the two
+runs of p2wss, and with it the start, which is taken off the blocks. Without the network, on one thread, with default
+outputs. ``--copies``: also a town of so many copies of the houses, first with the default outputs, then as a scene for
+radar: skins, GLB and Sionna's files.
 """
 
 from __future__ import annotations

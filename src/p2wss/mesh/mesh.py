@@ -40,8 +40,8 @@ class Mesh:
     def of_kernel(cls, meshes: Meshes, index: int) -> Mesh:
         """One mesh of the kernel, which knows the planes of roofs and walls by the edges of the footprint."""
         vertex_m, triangle, kind, edge = meshes.mesh(index)
-        label = topology.unique_rows(np.column_stack([kind, edge]))[1]
-        return cls(vertex_m, triangle, kind, label.astype(np.int32))
+        _, label = np.unique(np.column_stack([kind, edge]), axis=0, return_inverse=True)
+        return cls(vertex_m, triangle, kind, label.reshape(-1).astype(np.int32))
 
     @classmethod
     def of_triangles(cls, vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:

@@ -99,7 +99,7 @@ def _with_straight_walls(mesh: Mesh) -> Mesh:
     of planes left them.
     """
     planes = mesh.planes
-    column = np.unique(np.round(mesh.vertex_m[:, :2] / _EXACT_M), axis=0, return_inverse=True)[1].reshape(-1)
+    column = np.unique(np.round(mesh.vertex_m[:, :2] / _EXACT_M) @ [1, 1j], return_inverse=True)[1]
     num_columns = int(column.max(initial=-1)) + 1
     place_m = np.zeros((num_columns, 2))
     place_m[column] = mesh.vertex_m[:, :2]

@@ -31,17 +31,6 @@ def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return np.where(forward[candidate] == back, candidate, -1)
 
 
-def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(where the first of each of the different rows (n, k) is, in the order of these; the number of each row among
-    them, int64 (n,)). ``numpy.unique`` takes several times as long for the few rows of a building."""
-    order = np.lexsort(rows.T[::-1])
-    is_new = np.ones(len(rows), bool)
-    is_new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    number = np.empty(len(rows), np.int64)
-    number[order] = np.cumsum(is_new) - 1
-    return order[is_new], number
-
-
 def doubled_areas(corner_m: np.ndarray) -> np.ndarray:
     """(t, 3), normals as long as twice the area of the triangles (t, 3, 3)."""
     u, v = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]

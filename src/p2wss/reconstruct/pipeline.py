@@ -35,9 +35,9 @@ from p2wss.storage.log_lines import log
 
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
-# number of buildings between two reports of progress: of one process, of each of several, which forks for them, and
-# with a network, which is faster with many
-_BATCH, _SHARE, _NETWORK_BATCH = 12, 48, 256
+# number of buildings between two reports of progress: of each process, where forks would cost more for fewer, and with
+# a network, which is faster with many
+_BATCH, _NETWORK_BATCH = 24, 256
 # points on the roofs around a building with few: enough to show planes
 _MAX_AROUND = 200
 # whose ground is that of a building without points
@@ -99,8 +99,7 @@ class Rows:
         self._num_processes = num_processes if predictor is None else 1
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
-        alone = _BATCH if self._num_processes == 1 else _SHARE * self._num_processes
-        self._batch = alone if predictor is None else _NETWORK_BATCH
+        self._batch = _BATCH * self._num_processes if predictor is None else _NETWORK_BATCH
         self._origin_xy_m = np.full((num_rows, 2), np.nan)
         # of buildings with points
         self._ground_z_m = np.full(num_rows, np.nan)

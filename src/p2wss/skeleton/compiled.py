@@ -142,7 +142,11 @@ class _Cache:
         # what machine code calls: allocation, for instance
         for name, address in c_helpers.items():
             binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
-        return self._opened and self._opened._load_overload(sig, target_context)
+        result: Any = self._opened and self._opened._load_overload(sig, target_context)
+        bitcode = result and result.library._shared_module
+        if bitcode and next(bitcode.functions, None) is None:
+            result.library.__class__ = _Alone  # it has names only
+        return result
 
     def save_overload(self, sig: Any, data: Any) -> None:
         if self._opened:

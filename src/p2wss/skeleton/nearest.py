@@ -28,29 +28,25 @@ def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[n
 @entry
 def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """(squared distances, numbers), one more than asked for of each place."""
+    size, low_m, extent_m, local_m = point_m.shape[1], np.zeros(3), np.zeros(3), np.zeros((len(point_m), 3))
+    for k in range(size):
+        low_m[k] = point_m[:, k].min()
+        local_m[:, k] = point_m[:, k] - low_m[k]
+        extent_m[k] = local_m[:, k].max()
     # the points by the cells of a grid in plan
-    size, low_m, extent_m = point_m.shape[1], np.full(3, np.inf), np.zeros(3)
-    for t in range(len(point_m)):
-        for k in range(size):
-            low_m[k] = min(low_m[k], point_m[t, k])
-    for t in range(len(point_m)):
-        for k in range(size):
-            extent_m[k] = max(extent_m[k], point_m[t, k] - low_m[k])
     share = max(_POINTS_PER_CELL, _SHARE_PER_CELL * count) / len(point_m)
     cell_m = max((share * extent_m[0] * extent_m[1]) ** 0.5, share * max(extent_m[0], extent_m[1]), 1e-9)
     num_columns, num_rows = int(extent_m[0] / cell_m) + 1, int(extent_m[1] / cell_m) + 1
     cell, begin = np.empty(len(point_m), np.int64), np.zeros(num_columns * num_rows + 1, np.int64)
     for t in range(len(point_m)):
-        column, row = int((point_m[t, 0] - low_m[0]) / cell_m), int((point_m[t, 1] - low_m[1]) / cell_m)
-        cell[t] = row * num_columns + column
+        cell[t] = int(local_m[t, 1] / cell_m) * num_columns + int(local_m[t, 0] / cell_m)
         begin[cell[t] + 1] += 1
     begin = np.cumsum(begin)
-    order, next_in, sorted_m = np.empty(len(point_m), np.int64), begin.copy(), np.zeros((len(point_m), 3))
+    order, free = np.empty(len(point_m), np.int64), begin.copy()
     for t in range(len(point_m)):
-        at = next_in[cell[t]]
-        order[at], next_in[cell[t]] = t, at + 1
-        for k in range(size):
-            sorted_m[at, k] = point_m[t, k] - low_m[k]
+        order[free[cell[t]]] = t
+        free[cell[t]] += 1
+    sorted_m = local_m[order]
     all_squared_m2 = np.full((len(place_m), count + 1), np.inf)
     all_numbers = np.zeros((len(place_m), count + 1), np.int64)
     place = np.zeros(3)

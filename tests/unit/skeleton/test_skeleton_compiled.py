@@ -7,19 +7,21 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from numba import njit
 from numba.core import event
 
 import p2wss.skeleton
+from p2wss.skeleton.compiled import both, entry
 
 NOTICE = "compiling for this computer"
 
 
-def run(folder: Path, **more: str) -> tuple[int, str]:
-    """What a process returns, and its log."""
+def run(folder: Path, before: str = "", after: str = "", **more: str) -> tuple[int, str]:
+    """What a process returns, and its log. before, after: what it does before and after the call."""
     command = (
         "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
-        "import p2wss.skeleton.probe as probe; print(probe.outer(1))"
+        f"import p2wss.skeleton.probe as probe; {before}\nprint(probe.outer(1)); {after}"
     )
     done = subprocess.run(
         [sys.executable, "-c", command],
@@ -63,6 +65,44 @@ def test_an_edit_in_another_file_is_noticed(tmp_path):
     assert result == 8 and NOTICE in log
     after = {path.name for path in cache.rglob("*.nb?")}
     assert len(after) == 4 and not after & before  # the outdated ones are gone
+
+
+def test_what_was_edited_between_import_and_call_is_compiled_again(tmp_path):
+    called, cache = package(tmp_path) / "called.py", str(tmp_path / "cache")
+    edit = f"import pathlib; path = pathlib.Path({str(called)!r}); path.write_text(path.read_text().replace('1', '17'))"
+    assert run(tmp_path, edit, NUMBA_CACHE_DIR=cache)[0] == 2
+    result, log = run(tmp_path, NUMBA_CACHE_DIR=cache)
+    assert result == 18 and NOTICE in log
+
+
+def test_cached_code_is_loaded_without_the_compiler(tmp_path):
+    package(tmp_path)
+    more = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    is_loaded = "import sys; assert ('numba.cpython.listobj' in sys.modules) == {}"
+    assert run(tmp_path, after=is_loaded.format(True), **more)[0] == 2
+    assert run(tmp_path, after=is_loaded.format(False), **more) == (2, "")
+
+
+def test_what_only_python_calls_is_no_part_of_compiled_code() -> None:
+    @entry
+    def one() -> int:
+        return 1
+
+    @both
+    def two() -> int:
+        return 2
+
+    @entry
+    def wrong() -> int:
+        return one()
+
+    @entry
+    def right() -> int:
+        return two()
+
+    assert one() == 1 and right() == two() == 2  # all of which may come from the cache
+    with pytest.raises(TypeError, match="decorated with entry"):
+        wrong()
 
 
 def test_no_folder_to_cache_in(tmp_path):

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import unique_rows
 from p2wss.skeleton.types import FaceKind
 
 # a vertex further from an edge of the footprint, or a wall turned further from it, is not on that edge
@@ -41,7 +40,7 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     result[at_corner, :2] = start[nearest[at_corner]]
 
     # a face is on an edge if it is turned that way and one of its vertices is there
-    face = unique_rows(np.column_stack([kind, mesh.label]))[1]
+    face = np.unique(np.column_stack([kind, mesh.label]), axis=0, return_inverse=True)[1].reshape(-1)
     normal, middle_m = _face_planes(mesh, face)
     is_wall = np.zeros(len(normal), bool)
     is_wall[face[kind == FaceKind.WALL]] = True

@@ -10,7 +10,7 @@ import shapely
 
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.planes.lines import Line, as_arrays, edges_of, ends_of
-from p2wss.mesh.topology import reverses, unique_rows
+from p2wss.mesh.topology import reverses
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -71,7 +71,8 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     cells, middle = cells[order], middle[order]
     all_rings, owner = shapely.get_rings(cells, return_index=True)
     xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
-    first, vertex = unique_rows(np.round(xy_m / GRID_M).astype(np.int64))
+    # in the order of their first and then their second coordinate; numpy is slow with rows
+    _, first, vertex = np.unique(np.round(xy_m / GRID_M) @ [1, 1j], return_index=True, return_inverse=True)
     # the last place of a ring is its first
     is_start = np.diff(ring_of) == 0
     start, end, cell = vertex[:-1][is_start], vertex[1:][is_start], owner[ring_of[:-1][is_start]]
