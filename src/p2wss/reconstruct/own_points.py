@@ -16,8 +16,16 @@ import numpy as np
 import shapely
 
 from p2wss.data.building import Building
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
-from p2wss.data.points import MIN_HEIGHT_M, points_on_building
+from p2wss.data.las_classes import (
+    BUILDING_CLASS,
+    GROUND_CLASS,
+    NEIGHBOUR_CLASS,
+    NOISE_CLASSES,
+    PLANT_CLASSES,
+    UNCLASSIFIED_CLASS,
+    WATER_CLASS,
+)
+from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.fit.planes.detection import detect, height_over, heights
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
@@ -39,11 +47,11 @@ class Rules:
 
     strip_m: float = 1.0
     band_m: float = 2.5
-    core_m: float = 0.5
+    core_m: float = 0.1
     step_m: float = 0.7
     step_quantile: float = 0.7
     num_near: int = 4
-    on_m: float = 0.25
+    on_m: float = 0.7
     num_points: int = 3
     most_per_m2: float = 6.0
     steep: float = 1.2
@@ -93,7 +101,7 @@ def _theirs(
     is_built = classification == BUILDING_CLASS
     is_built |= ~inside & (classification == UNCLASSIFIED_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
     core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
-    if core.is_empty or (is_built & ~inside).sum() < RULES.num_points:
+    if core.is_empty or not (is_built & ~inside).any():
         return result
     inner = polygon.buffer(-RULES.band_m)
     within, deep_within, beside_core = (
@@ -101,41 +109,36 @@ def _theirs(
         for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
     )
     is_strip = inside & ~within & beside_core
-    # where all that has class building is in the strip, the classifier may have missed the building itself
-    unknown = np.where(is_built & is_strip, np.uint8(UNCLASSIFIED_CLASS), classification)
-    is_own = inside & (is_built & is_strip | points_on_building(polygon, point_m, unknown))
-    band = np.flatnonzero(is_built & ~inside | is_own & ~deep_within)
-    beyond, near = ~inside[band], is_strip[band]
-    deep, band_m = np.flatnonzero(~beyond & ~near), point_m[band]
+    is_own = inside & ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
+    band, beyond = np.flatnonzero(is_own & ~deep_within), np.flatnonzero(is_built & ~inside)
+    near, band_m, beyond_m = is_strip[band], point_m[band], point_m[beyond]
+    deep = np.flatnonzero(~near)
     if not len(deep) or not near.any():
         return result
-    _, beside = nearest(band_m[deep, :2], band_m[:, :2], min(RULES.num_near, len(deep)))
-    beside_m = band_m[deep[beside]]
-    step_m = np.abs(band_m[:, 2] - np.median(beside_m[:, :, 2], axis=1))
-    if (step_m[near] > RULES.step_m).sum() < RULES.num_points:
+    _, beside = nearest(band_m[deep, :2], band_m[near, :2], min(RULES.num_near, len(deep)))
+    beside = deep[beside]
+    near_m = band_m[near]
+    off_m = np.abs(near_m[:, 2] - np.median(band_m[beside, 2], axis=1))
+    if not (off_m > RULES.step_m).any():
         return result
-    ring_m2 = polygon.buffer(RULES.strip_m).area - inner.area
+    ring_m2 = polygon.area - inner.area
     chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
     density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
     found = detect(band_m[chosen], density, (), _DETECTION)
     label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]]
-    is_theirs, is_loose = np.zeros(len(band), bool), label < 0
-    for number in range(len(found.plane)):
-        on = label == number
-        if (on & ~beyond & ~near).sum() > RULES.deep_share * (on & near).sum():
-            continue
-        if (on & beyond).sum() < RULES.num_points:
-            is_loose |= on & (np.hypot(*found.plane[number, :2]) > RULES.steep)
-            continue
-        other_m = beside_m[on].reshape(-1, 3)
-        off_m = heights(found.plane[number : number + 1], other_m[:, :2])[:, 0] - other_m[:, 2]
-        if (np.abs(off_m) > RULES.step_m).mean() > 1 - RULES.step_quantile:
-            is_theirs |= on
-    if not is_theirs.any():
-        return result
-    result[band] = near & is_theirs
-    loose = np.flatnonzero(near & is_loose)
-    far_m, beside = (each[:, 0] for each in nearest(band_m[is_theirs, :2], band_m[loose, :2]))
-    top_m = height_over(found.plane, label[is_theirs][beside], band_m[loose, :2]) + RULES.on_m
-    result[band[loose]] = (far_m < RULES.strip_m) & (band_m[loose, 2] < top_m)
+    num_near, num_deep = (np.bincount(label[each] + 1, minlength=len(found.plane) + 1) for each in (near, deep))
+    steep = np.append(np.hypot(found.plane[:, 0], found.plane[:, 1]) > RULES.steep, True)
+    is_deep = (num_deep / len(deep) > RULES.deep_share * num_near / near.sum())[1:]
+    is_deep = np.append(is_deep, False) & ~steep
+    # the building's own roof goes on to the border as it is deeper within
+    plane = np.where(is_deep[label[beside]], label[beside], -1)
+    all_planes = np.vstack([found.plane, np.zeros(3)])
+    going_on_m = np.take_along_axis(heights(all_planes, near_m[:, :2]), plane, axis=1)
+    own_z = np.median(np.where(plane < 0, band_m[beside, 2], going_on_m), axis=1)
+    far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond)))
+    other_z = np.where(far_m < RULES.band_m, beyond_m[other, 2], -np.inf).max(axis=1)
+    theirs = (np.abs(near_m[:, 2] - own_z) > RULES.step_m) & ~is_deep[label[near]]
+    theirs &= (near_m[:, 2] < other_z + RULES.on_m) & (near_m[:, 2] >= MIN_HEIGHT_M)
+    theirs &= classification[band[near]] != GROUND_CLASS
+    result[band[near]] = theirs
     return result
