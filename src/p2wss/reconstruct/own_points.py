@@ -109,8 +109,8 @@ def _theirs(
         for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
     )
     is_strip = inside & ~within & beside_core
-    is_own = inside & ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
-    band, beyond = np.flatnonzero(is_own & ~deep_within), np.flatnonzero(is_built & ~inside)
+    is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
+    band, beyond = np.flatnonzero(is_solid & inside & ~deep_within), np.flatnonzero(is_solid & ~inside)
     near, band_m, beyond_m = is_strip[band], point_m[band], point_m[beyond]
     deep = np.flatnonzero(~near)
     if not len(deep) or not near.any():
@@ -137,8 +137,13 @@ def _theirs(
     own_z = np.median(np.where(plane < 0, band_m[beside, 2], going_on_m), axis=1)
     far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond)))
     other_z = np.where(far_m < RULES.band_m, beyond_m[other, 2], -np.inf).max(axis=1)
-    theirs = (np.abs(near_m[:, 2] - own_z) > RULES.step_m) & ~is_deep[label[near]]
-    theirs &= (near_m[:, 2] < other_z + RULES.on_m) & (near_m[:, 2] >= MIN_HEIGHT_M)
-    theirs &= classification[band[near]] != GROUND_CLASS
+    label = label[near]
+    differs = (np.abs(near_m[:, 2] - own_z) > RULES.step_m) & ~is_deep[label]
+    differs &= (near_m[:, 2] >= MIN_HEIGHT_M) & (classification[band[near]] != GROUND_CLASS)
+    # without points beyond, nothing shows that the building ends here
+    theirs = differs & ((near_m[:, 2] < other_z + RULES.on_m) | np.isinf(other_z))
+    num_theirs, num_other = (np.bincount(label[each] + 1, minlength=len(is_deep)) for each in (theirs, differs & ~theirs))
+    is_theirs = np.append((num_theirs > num_other)[1:], False)
+    theirs |= differs & is_theirs[label]
     result[band[near]] = theirs
     return result
