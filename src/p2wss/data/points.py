@@ -55,7 +55,9 @@ def points_on_buildings(
     num_classified, num_high, num_solid = (
         np.bincount(building[each], minlength=len(counts)) for each in (is_classified, is_high, is_solid)
     )
-    is_missed = (num_high > 0) & (num_classified < np.maximum(MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE * num_solid))
+    is_missed = (num_high > 0) & (
+        num_classified < np.maximum(MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE * num_solid)
+    )
     is_seen = num_solid >= MIN_CLASSIFIED_POINTS
     return np.where(is_missed[building], np.where(is_seen[building], is_solid, is_high), is_classified)
 

@@ -22,11 +22,10 @@ from p2wss.data.las_classes import (
     NEIGHBOUR_CLASS,
     NOISE_CLASSES,
     PLANT_CLASSES,
-    UNCLASSIFIED_CLASS,
     WATER_CLASS,
 )
 from p2wss.data.points import MIN_HEIGHT_M
-from p2wss.fit.planes.detection import detect, height_over, heights
+from p2wss.fit.planes.detection import detect, heights
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.nearest import nearest
@@ -49,10 +48,8 @@ class Rules:
     band_m: float = 2.5
     core_m: float = 0.1
     step_m: float = 0.7
-    step_quantile: float = 0.7
     num_near: int = 4
-    on_m: float = 0.7
-    num_points: int = 3
+    reach_m: float = 1.5
     most_per_m2: float = 6.0
     steep: float = 1.2
     deep_share: float = 0.1
@@ -98,52 +95,54 @@ def _theirs(
 ) -> np.ndarray:
     """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
     result = np.zeros(len(point_m), bool)
-    is_built = classification == BUILDING_CLASS
-    is_built |= ~inside & (classification == UNCLASSIFIED_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
+    is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
+    is_high = is_solid & (classification != GROUND_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
     core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
-    if core.is_empty or not (is_built & ~inside).any():
+    if core.is_empty or not (is_high & ~inside).any():
         return result
     inner = polygon.buffer(-RULES.band_m)
     within, deep_within, beside_core = (
         shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
         for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
     )
-    is_strip = inside & ~within & beside_core
-    is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
-    band, beyond = np.flatnonzero(is_solid & inside & ~deep_within), np.flatnonzero(is_solid & ~inside)
-    near, band_m, beyond_m = is_strip[band], point_m[band], point_m[beyond]
-    deep = np.flatnonzero(~near)
-    if not len(deep) or not near.any():
+    band, beyond_m = np.flatnonzero(is_solid & inside & ~deep_within), point_m[is_solid & ~inside]
+    band_m, near = point_m[band], (~within & beside_core)[band]
+    if near.all() or not near.any():
         return result
-    _, beside = nearest(band_m[deep, :2], band_m[near, :2], min(RULES.num_near, len(deep)))
-    beside = deep[beside]
-    near_m = band_m[near]
-    off_m = np.abs(near_m[:, 2] - np.median(band_m[beside, 2], axis=1))
-    if not (off_m > RULES.step_m).any():
+    near_m, none = band_m[near], np.full(len(band), -1)
+    if not _differs(near_m, band_m[~near], np.zeros((1, 3)), none).any():
         return result
     ring_m2 = polygon.area - inner.area
     chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
     density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
     found = detect(band_m[chosen], density, (), _DETECTION)
-    label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]]
-    num_near, num_deep = (np.bincount(label[each] + 1, minlength=len(found.plane) + 1) for each in (near, deep))
-    steep = np.append(np.hypot(found.plane[:, 0], found.plane[:, 1]) > RULES.steep, True)
-    is_deep = (num_deep / len(deep) > RULES.deep_share * num_near / near.sum())[1:]
-    is_deep = np.append(is_deep, False) & ~steep
-    # the building's own roof goes on to the border as it is deeper within
-    plane = np.where(is_deep[label[beside]], label[beside], -1)
-    all_planes = np.vstack([found.plane, np.zeros(3)])
-    going_on_m = np.take_along_axis(heights(all_planes, near_m[:, :2]), plane, axis=1)
-    own_z = np.median(np.where(plane < 0, band_m[beside, 2], going_on_m), axis=1)
-    far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond)))
-    other_z = np.where(far_m < RULES.band_m, beyond_m[other, 2], -np.inf).max(axis=1)
-    label = label[near]
-    differs = (np.abs(near_m[:, 2] - own_z) > RULES.step_m) & ~is_deep[label]
-    differs &= (near_m[:, 2] >= MIN_HEIGHT_M) & (classification[band[near]] != GROUND_CLASS)
+    # the last plane is that of points without one
+    plane = np.vstack([found.plane, np.zeros(3)])
+    label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]] % len(plane)
+    num_near, num_deep = (np.bincount(label[each], minlength=len(plane)) for each in (near, ~near))
+    is_own = num_deep * near.sum() > RULES.deep_share * num_near * (~near).sum()
+    is_own &= np.hypot(plane[:, 0], plane[:, 1]) < RULES.steep
+    is_own[-1] = False
+    shows = ~near & (is_own[label] | (label == len(plane) - 1))
+    if not shows.any():
+        return result
+    differs = _differs(near_m, band_m[shows], plane, np.where(is_own[label], label, -1)[shows])
+    differs &= is_high[band[near]] & ~is_own[label[near]]
+    far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
+    other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    theirs = differs & ((near_m[:, 2] < other_z + RULES.on_m) | np.isinf(other_z))
-    num_theirs, num_other = (np.bincount(label[each] + 1, minlength=len(is_deep)) for each in (theirs, differs & ~theirs))
-    is_theirs = np.append((num_theirs > num_other)[1:], False)
-    theirs |= differs & is_theirs[label]
-    result[band[near]] = theirs
+    theirs = differs & ((near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z))
+    balance = np.bincount(label[near], np.where(theirs, 1, -1) * differs, len(plane))
+    is_theirs = (balance > 0) & (np.arange(len(plane)) < len(plane) - 1)
+    result[band] = is_theirs[label] & ~is_own[label]
+    result[band[near]] = theirs | (differs & is_theirs[label[near]])
     return result
+
+
+def _differs(place_m: np.ndarray, point_m: np.ndarray, plane: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Whether points (m, 3) are no part of a roof that goes on as it is at the points (n, 3) nearest to them, bool
+    (m,). label: (n,), of the planes (k, 3), -1 where there is none, and the roof is level."""
+    _, beside = nearest(point_m[:, :2], place_m[:, :2], min(RULES.num_near, len(point_m)))
+    on_plane = np.take_along_axis(heights(plane, place_m[:, :2]), label[beside], axis=1)
+    roof_z = np.median(np.where(label[beside] < 0, point_m[beside, 2], on_plane), axis=1)
+    return np.asarray(np.abs(place_m[:, 2] - roof_z) > RULES.step_m)
