@@ -25,7 +25,7 @@ from p2wss.data.las_classes import (
     WATER_CLASS,
 )
 from p2wss.data.points import MIN_HEIGHT_M
-from p2wss.fit.planes.detection import detect, heights
+from p2wss.fit.planes.detection import detect
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.nearest import nearest
@@ -48,10 +48,11 @@ class Rules:
     band_m: float = 2.5
     core_m: float = 0.1
     step_m: float = 0.7
+    step_share: float = 0.3
     num_near: int = 4
     reach_m: float = 1.5
+    num_points: int = 3
     most_per_m2: float = 6.0
-    steep: float = 1.2
     deep_share: float = 0.1
 
 
@@ -96,7 +97,7 @@ def _theirs(
     """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
     result = np.zeros(len(point_m), bool)
     is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
-    is_high = is_solid & (classification != GROUND_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
+    is_high = is_solid & (point_m[:, 2] >= MIN_HEIGHT_M)
     core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
     if core.is_empty or not (is_high & ~inside).any():
         return result
@@ -105,44 +106,52 @@ def _theirs(
         shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
         for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
     )
-    band, beyond_m = np.flatnonzero(is_solid & inside & ~deep_within), point_m[is_solid & ~inside]
-    band_m, near = point_m[band], (~within & beside_core)[band]
-    if near.all() or not near.any():
+    own = is_solid & inside & ~deep_within
+    is_near = own & ~within & beside_core
+    is_deep = own & ~is_near
+    if not is_near.any() or not is_deep.any():
         return result
-    near_m, none = band_m[near], np.full(len(band), -1)
-    if not _differs(near_m, band_m[~near], np.zeros((1, 3)), none).any():
+    near_m = point_m[is_near]
+    if not _differs(near_m, np.zeros((1, 2)), point_m[is_deep]).any():
         return result
-    ring_m2 = polygon.area - inner.area
-    chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
-    density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
-    found = detect(band_m[chosen], density, (), _DETECTION)
+    band = np.flatnonzero(own | (is_high & ~inside))
+    ring_m2 = polygon.buffer(RULES.strip_m).area - inner.area
+    chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
+    found = detect(chosen, max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2), (), _DETECTION)
     # the last plane is that of points without one
-    plane = np.vstack([found.plane, np.zeros(3)])
-    label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]] % len(plane)
-    num_near, num_deep = (np.bincount(label[each], minlength=len(plane)) for each in (near, ~near))
-    is_own = num_deep * near.sum() > RULES.deep_share * num_near * (~near).sum()
-    is_own &= np.hypot(plane[:, 0], plane[:, 1]) < RULES.steep
+    plane, label = np.vstack([found.plane, np.zeros(3)]), np.full(len(point_m), -1)
+    label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]]
+    label[label < 0] = len(found.plane)
+
+    def num_on_plane(mask: np.ndarray) -> np.ndarray:
+        return np.bincount(label[mask], minlength=len(plane))
+
+    num_near, num_deep = num_on_plane(is_near), num_on_plane(is_deep)
+    is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
+    is_own[-1] = True
+    shows = is_own[label] & np.where(label == len(found.plane), is_deep, own)
     is_own[-1] = False
-    shows = ~near & (is_own[label] | (label == len(plane) - 1))
     if not shows.any():
         return result
-    differs = _differs(near_m, band_m[shows], plane, np.where(is_own[label], label, -1)[shows])
-    differs &= is_high[band[near]] & ~is_own[label[near]]
+    differs = is_near & is_high & ~is_own[label]
+    differs[is_near] &= _differs(near_m, plane[label[is_near], :2], point_m[shows])
+    beyond_m = point_m[is_solid & ~inside]
     far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
     other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    theirs = differs & ((near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z))
-    balance = np.bincount(label[near], np.where(theirs, 1, -1) * differs, len(plane))
-    is_theirs = (balance > 0) & (np.arange(len(plane)) < len(plane) - 1)
-    result[band] = is_theirs[label] & ~is_own[label]
-    result[band[near]] = theirs | (differs & is_theirs[label[near]])
-    return result
+    loose = differs.copy()
+    loose[is_near] &= (near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z)
+    num_differing = num_on_plane(differs)
+    is_theirs = (num_on_plane(is_high & ~inside) >= RULES.num_points) | (2 * num_on_plane(loose) > num_differing)
+    is_theirs &= ~is_own & (num_differing > RULES.step_share * num_near)
+    is_theirs[-1] = False
+    return (own & is_theirs[label]) | (loose & (label == len(found.plane)))
 
 
-def _differs(place_m: np.ndarray, point_m: np.ndarray, plane: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Whether points (m, 3) are no part of a roof that goes on as it is at the points (n, 3) nearest to them, bool
-    (m,). label: (n,), of the planes (k, 3), -1 where there is none, and the roof is level."""
-    _, beside = nearest(point_m[:, :2], place_m[:, :2], min(RULES.num_near, len(point_m)))
-    on_plane = np.take_along_axis(heights(plane, place_m[:, :2]), label[beside], axis=1)
-    roof_z = np.median(np.where(label[beside] < 0, point_m[beside, 2], on_plane), axis=1)
-    return np.asarray(np.abs(place_m[:, 2] - roof_z) > RULES.step_m)
+def _differs(place_m: np.ndarray, slope: np.ndarray, own_m: np.ndarray) -> np.ndarray:
+    """Whether there is a step between surfaces of a slope (m, 2) through points (m, 3) and the points (n, 3) nearest to
+    them, bool (m,)."""
+    _, beside = nearest(own_m[:, :2], place_m[:, :2], min(RULES.num_near, len(own_m)))
+    apart_m = own_m[beside] - place_m[:, None]
+    step_m = apart_m[:, :, 2] - (apart_m[:, :, :2] * slope[:, None]).sum(axis=2)
+    return np.asarray(np.median(np.abs(step_m), axis=1) > RULES.step_m)
