@@ -27,10 +27,10 @@ def points_on_building(
 ) -> np.ndarray:
     """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,); z above the ground.
 
-    These are the points of class building inside the polygon. If there are fewer than ten, or fewer than a fifth of
-    those that may be, they are all points
-    inside that are neither ground, noise nor water and at least 2 m above the ground (if there are any). Points
-    outside the footprint never count: in a row of houses they belong to the neighbours.
+    These are the points of class building inside the polygon. If there are fewer than ten, or than a fifth of all that
+    are at least 2 m above the ground and neither ground, noise, water nor plants, they are all of these; with fewer
+    than ten of these, plants count, too. Points outside the footprint never count: in a row of houses they belong to
+    the neighbours.
     """
     if not len(point_m):
         return np.zeros(0, bool)

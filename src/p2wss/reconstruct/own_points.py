@@ -1,10 +1,10 @@
 """Whose points are these? Classes of the points of a building, as its roof needs them.
 
 Along the border to another building, points may be of that one: its roof reaches over the border, or the map has the
-border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that is found beyond it
-and within it, but only in a strip along it, is the neighbour's, and so are the returns from walls below it. The same
-rule holds from the other side, so that no order of buildings matters. Roofs that the producer took for ground are told
-by what is beside them.
+border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that the building has
+only in a strip along it, with a step to what it has further within, is the neighbour's if that is as high beyond the
+border, and so are returns from walls. The same rule holds from the other side, so that no order of buildings matters.
+Roofs that the producer took for ground are told by what is beside them.
 """
 
 from __future__ import annotations
@@ -37,21 +37,19 @@ class Rules:
 
     strip_m: points this near to the border may be another building's. band_m: what the building has at the strip is
     seen within this distance of the border. core_m: half the width of a wing, less the strip; narrower ones have no
-    strip, because their own roof looks like one. step_m, step_quantile: the height between a plane of the neighbour
-    and the points of the building nearest to it, of which so many (``num_near``) are looked at. on_m: returns from
-    walls are at most this far above the plane. num_points: that show a plane beyond the border. most_per_m2: points of
-    which planes are grown. steep: tangent of the slope of what is no roof but a wall. deep_share: a plane with a larger
-    share of its points within the border beyond the strip is the building's.
+    strip, because their own roof looks like one. step_m: between a surface of the neighbour and the points of the
+    building nearest to it; beyond the border, points may be so much lower. Of both, ``num_near`` are looked at.
+    reach_m: points beyond the border show nothing further away. most_per_m2: points of which planes are grown.
+    deep_share: where the density of a plane's points further within is a larger share of that in the strip, the plane
+    is the building's.
     """
 
     strip_m: float = 1.0
     band_m: float = 2.5
     core_m: float = 0.1
     step_m: float = 0.7
-    step_share: float = 0.3
     num_near: int = 4
     reach_m: float = 1.5
-    num_points: int = 3
     most_per_m2: float = 6.0
     deep_share: float = 0.1
 
@@ -127,25 +125,25 @@ def _theirs(
         return np.bincount(label[mask], minlength=len(plane))
 
     num_near, num_deep = num_on_plane(is_near), num_on_plane(is_deep)
+    has_plane = label < len(found.plane)
     is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
-    is_own[-1] = True
-    shows = is_own[label] & np.where(label == len(found.plane), is_deep, own)
-    is_own[-1] = False
+    shows = np.where(has_plane, own & is_own[label], is_deep)
     if not shows.any():
         return result
-    differs = is_near & is_high & ~is_own[label]
+    differs = is_near & is_high
     differs[is_near] &= _differs(near_m, plane[label[is_near], :2], point_m[shows])
     beyond_m = point_m[is_solid & ~inside]
     far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
     other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    loose = differs.copy()
-    loose[is_near] &= (near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z)
+    result[is_near] = (near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z)
+    result &= differs
     num_differing = num_on_plane(differs)
-    is_theirs = (num_on_plane(is_high & ~inside) >= RULES.num_points) | (2 * num_on_plane(loose) > num_differing)
-    is_theirs &= ~is_own & (num_differing > RULES.step_share * num_near)
-    is_theirs[-1] = False
-    return (own & is_theirs[label]) | (loose & (label == len(found.plane)))
+    is_theirs = (2 * num_on_plane(result) > num_differing) & (2 * num_differing > num_near) & ~is_own
+    shows |= own & has_plane & ~is_theirs[label]
+    result &= ~has_plane
+    result[result] = _differs(point_m[result], np.zeros((1, 2)), point_m[shows])
+    return result | (own & has_plane & is_theirs[label])
 
 
 def _differs(place_m: np.ndarray, slope: np.ndarray, own_m: np.ndarray) -> np.ndarray:
