@@ -46,7 +46,7 @@ class Rules:
 
     strip_m: float = 1.0
     band_m: float = 2.5
-    core_m: float = 0.1
+    core_m: float = 0.3
     step_m: float = 0.7
     num_near: int = 4
     reach_m: float = 1.5
