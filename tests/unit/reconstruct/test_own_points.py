@@ -198,6 +198,10 @@ def test_points_without_class_are_a_roof_where_those_beside_are_lower() -> None:
     cloud = replace(cloud, classification=classes)
     ground = ground_of(cloud, crop_cloud(cloud, polygons), polygons, None)
     assert (float(ground.z_m[0]), str(ground.source[0])) == (20.0, "lowest-points")
+    # 1.5 m above that ground, they would not count
+    low = replace(cloud, z_m=np.where(cloud.z_m == 28.5, 26.5, cloud.z_m))
+    ground = ground_of(low, crop_cloud(low, polygons), polygons, None)
+    assert (float(ground.z_m[0]), str(ground.source[0])) == (20.0, "lowest-points")
 
 
 def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
