@@ -58,8 +58,8 @@ def points_on_buildings(
     is_missed = (num_high > 0) & (
         num_classified < np.maximum(MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE * num_solid)
     )
-    is_seen = num_solid >= MIN_CLASSIFIED_POINTS
-    return np.where(is_missed[building], np.where(is_seen[building], is_solid, is_high), is_classified)
+    is_on = np.where((num_solid >= MIN_CLASSIFIED_POINTS)[building], is_solid, is_high)
+    return np.where(is_missed[building], is_on, is_classified)
 
 
 def on_millimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:

@@ -117,9 +117,8 @@ def _theirs(
     chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
     found = detect(chosen, max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2), (), _DETECTION)
     # the last plane is that of points without one
-    plane, label = np.vstack([found.plane, np.zeros(3)]), np.full(len(point_m), -1)
-    label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]]
-    label[label < 0] = len(found.plane)
+    plane, label = np.vstack([found.plane, np.zeros(3)]), np.full(len(point_m), len(found.plane))
+    label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]] % len(plane)
 
     def num_on_plane(mask: np.ndarray) -> np.ndarray:
         return np.bincount(label[mask], minlength=len(plane))
@@ -136,13 +135,13 @@ def _theirs(
     far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
     other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    result[is_near] = (near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z)
-    result &= differs
+    result[is_near] = differs[is_near] & ((near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z))
     num_differing = num_on_plane(differs)
     is_theirs = (2 * num_on_plane(result) > num_differing) & (2 * num_differing > num_near) & ~is_own
-    shows |= own & has_plane & ~is_theirs[label]
     result &= ~has_plane
-    result[result] = _differs(point_m[result], np.zeros((1, 2)), point_m[shows])
+    result[result] = _differs(
+        point_m[result], np.zeros((1, 2)), point_m[shows | (own & has_plane & ~is_theirs[label])]
+    )
     return result | (own & has_plane & is_theirs[label])
 
 
