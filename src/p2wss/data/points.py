@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, WATER_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES, WATER_CLASS
 
-# with fewer points of class building, the classifier has missed the building
-MIN_CLASSIFIED_POINTS = 10
+# with fewer points of class building, or a smaller share of those that may be, the classifier has missed the building
+MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE = 10, 0.2
 # lower points on a building that the classifier has missed may be a car, a hedge or rough ground
 MIN_HEIGHT_M = 2.0
 _NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
@@ -27,9 +27,10 @@ def points_on_building(
 ) -> np.ndarray:
     """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,); z above the ground.
 
-    These are the points of class building inside the polygon. If there are fewer than ten, they are all points
-    inside that are neither ground, noise nor water and at least 2 m above the ground (if there are any). Points
-    outside the footprint never count: in a row of houses they belong to the neighbours.
+    These are the points of class building inside the polygon. If there are fewer than ten, or than a fifth of all that
+    are at least 2 m above the ground and neither ground, noise, water nor plants, they are all of these; with fewer
+    than ten of these, plants count, too. Points outside the footprint never count: in a row of houses they belong to
+    the neighbours.
     """
     if not len(point_m):
         return np.zeros(0, bool)
@@ -49,12 +50,16 @@ def points_on_buildings(
     counts = np.diff(offset)
     building = np.repeat(np.arange(len(counts)), counts)
     is_classified = inside & (classification == BUILDING_CLASS)
-    is_missed = np.bincount(building[is_classified], minlength=len(counts)) < MIN_CLASSIFIED_POINTS
-    if not is_missed.any():
-        return is_classified
     is_high = inside & ~np.isin(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
-    is_missed &= np.bincount(building[is_high], minlength=len(counts)) > 0
-    return np.where(is_missed[building], is_high, is_classified)
+    is_solid = is_high & ~np.isin(classification, PLANT_CLASSES)
+    num_classified, num_high, num_solid = (
+        np.bincount(building[each], minlength=len(counts)) for each in (is_classified, is_high, is_solid)
+    )
+    is_missed = (num_high > 0) & (
+        num_classified < np.maximum(MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE * num_solid)
+    )
+    is_on = np.where((num_solid >= MIN_CLASSIFIED_POINTS)[building], is_solid, is_high)
+    return np.where(is_missed[building], is_on, is_classified)
 
 
 def on_millimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from p2wss.clouds.crops import CloudCrops, between
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES
+from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.terrain import Terrain
 from p2wss.skeleton.types import Polygons
 
@@ -83,7 +84,9 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
             )
             # without class building, points on the footprint may be of the ground, if it is not lower beside them
             may_be_ground = roof is own and low_z < low_beside_z + RULES.step_m
-            highest_z[p] = low_z + (RULES.lowest_roof_m if may_be_ground else -RULES.lowest_roof_m)
+            # without it, they count only from a greater height on
+            lowest_m = MIN_HEIGHT_M if roof is own else RULES.lowest_roof_m
+            highest_z[p] = low_z + (RULES.lowest_roof_m if may_be_ground else -lowest_m)
         if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p]):
             corner = slice(polygons.vertex_offset[p], polygons.vertex_offset[p + 1])
             height_m = terrain.interpolated(*polygons.xy_m[corner].T)

@@ -1,10 +1,10 @@
 """Whose points are these? Classes of the points of a building, as its roof needs them.
 
 Along the border to another building, points may be of that one: its roof reaches over the border, or the map has the
-border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that is found beyond it
-and within it, but only in a strip along it, is the neighbour's, and so are the returns from walls below it. The same
-rule holds from the other side, so that no order of buildings matters. Roofs that the producer took for ground are told
-by what is beside them.
+border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that the building has
+only in a strip along it, with a step to what it has further within, is the neighbour's if that is as high beyond the
+border, and so are returns from walls. The same rule holds from the other side, so that no order of buildings matters.
+Roofs that the producer took for ground are told by what is beside them.
 """
 
 from __future__ import annotations
@@ -16,9 +16,16 @@ import numpy as np
 import shapely
 
 from p2wss.data.building import Building
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
-from p2wss.data.points import MIN_HEIGHT_M, points_on_building
-from p2wss.fit.planes.detection import detect, height_over, heights
+from p2wss.data.las_classes import (
+    BUILDING_CLASS,
+    GROUND_CLASS,
+    NEIGHBOUR_CLASS,
+    NOISE_CLASSES,
+    PLANT_CLASSES,
+    WATER_CLASS,
+)
+from p2wss.data.points import MIN_HEIGHT_M
+from p2wss.fit.planes.detection import detect
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.nearest import nearest
@@ -30,23 +37,20 @@ class Rules:
 
     strip_m: points this near to the border may be another building's. band_m: what the building has at the strip is
     seen within this distance of the border. core_m: half the width of a wing, less the strip; narrower ones have no
-    strip, because their own roof looks like one. step_m, step_quantile: the height between a plane of the neighbour
-    and the points of the building nearest to it, of which so many (``num_near``) are looked at. on_m: returns from
-    walls are at most this far above the plane. num_points: that show a plane beyond the border. most_per_m2: points of
-    which planes are grown. steep: tangent of the slope of what is no roof but a wall. deep_share: a plane with a larger
-    share of its points within the border beyond the strip is the building's.
+    strip, because their own roof looks like one. step_m: between a surface of the neighbour and the points of the
+    building nearest to it; beyond the border, points may be so much lower. Of both, ``num_near`` are looked at.
+    reach_m: points beyond the border show nothing further away. most_per_m2: points of which planes are grown.
+    deep_share: where the density of a plane's points further within is a larger share of that in the strip, the plane
+    is the building's.
     """
 
     strip_m: float = 1.0
     band_m: float = 2.5
-    core_m: float = 0.5
+    core_m: float = 0.3
     step_m: float = 0.7
-    step_quantile: float = 0.7
     num_near: int = 4
-    on_m: float = 0.25
-    num_points: int = 3
+    reach_m: float = 1.5
     most_per_m2: float = 6.0
-    steep: float = 1.2
     deep_share: float = 0.1
 
 
@@ -90,53 +94,61 @@ def _theirs(
 ) -> np.ndarray:
     """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
     result = np.zeros(len(point_m), bool)
-    is_built = classification == BUILDING_CLASS
-    is_built |= ~inside & (classification == UNCLASSIFIED_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
+    is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
+    is_high = is_solid & (point_m[:, 2] >= MIN_HEIGHT_M)
     core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
-    if core.is_empty or (is_built & ~inside).sum() < RULES.num_points:
+    if core.is_empty or not (is_high & ~inside).any():
         return result
     inner = polygon.buffer(-RULES.band_m)
     within, deep_within, beside_core = (
         shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
         for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
     )
-    is_strip = inside & ~within & beside_core
-    # where all that has class building is in the strip, the classifier may have missed the building itself
-    unknown = np.where(is_built & is_strip, np.uint8(UNCLASSIFIED_CLASS), classification)
-    is_own = inside & (is_built & is_strip | points_on_building(polygon, point_m, unknown))
-    band = np.flatnonzero(is_built & ~inside | is_own & ~deep_within)
-    beyond, near = ~inside[band], is_strip[band]
-    deep, band_m = np.flatnonzero(~beyond & ~near), point_m[band]
-    if not len(deep) or not near.any():
+    own = is_solid & inside & ~deep_within
+    is_near = own & ~within & beside_core
+    is_deep = own & ~is_near
+    if not is_near.any() or not is_deep.any():
         return result
-    _, beside = nearest(band_m[deep, :2], band_m[:, :2], min(RULES.num_near, len(deep)))
-    beside_m = band_m[deep[beside]]
-    step_m = np.abs(band_m[:, 2] - np.median(beside_m[:, :, 2], axis=1))
-    if (step_m[near] > RULES.step_m).sum() < RULES.num_points:
+    near_m = point_m[is_near]
+    if not _differs(near_m, np.zeros((1, 2)), point_m[is_deep]).any():
         return result
+    band = np.flatnonzero(own | (is_high & ~inside))
     ring_m2 = polygon.buffer(RULES.strip_m).area - inner.area
-    chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
-    density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
-    found = detect(band_m[chosen], density, (), _DETECTION)
-    label = found.label[nearest(band_m[chosen], band_m)[1][:, 0]]
-    num_deep, num_near, num_beyond = (
-        np.bincount(label[mask] + 1, minlength=len(found.plane) + 1)[1:] for mask in (deep, near, beyond)
-    )
-    is_theirs, is_loose = np.zeros(len(band), bool), label < 0
-    for number in np.flatnonzero(num_deep <= RULES.deep_share * num_near).tolist():
-        on = label == number
-        if num_beyond[number] < RULES.num_points:
-            is_loose |= on & (np.hypot(*found.plane[number, :2]) > RULES.steep)
-            continue
-        other_m = beside_m[on].reshape(-1, 3)
-        off_m = heights(found.plane[number : number + 1], other_m[:, :2])[:, 0] - other_m[:, 2]
-        if (np.abs(off_m) > RULES.step_m).mean() > 1 - RULES.step_quantile:
-            is_theirs |= on
-    if not is_theirs.any():
+    chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
+    found = detect(chosen, max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2), (), _DETECTION)
+    # the last plane is that of points without one
+    plane, label = np.vstack([found.plane, np.zeros(3)]), np.full(len(point_m), len(found.plane))
+    label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]] % len(plane)
+
+    def num_on_plane(mask: np.ndarray) -> np.ndarray:
+        return np.bincount(label[mask], minlength=len(plane))
+
+    num_near, num_deep = num_on_plane(is_near), num_on_plane(is_deep)
+    has_plane = label < len(found.plane)
+    is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
+    shows = np.where(has_plane, own & is_own[label], is_deep)
+    if not shows.any():
         return result
-    result[band] = near & is_theirs
-    loose = np.flatnonzero(near & is_loose)
-    far_m, beside = (each[:, 0] for each in nearest(band_m[is_theirs, :2], band_m[loose, :2]))
-    top_m = height_over(found.plane, label[is_theirs][beside], band_m[loose, :2]) + RULES.on_m
-    result[band[loose]] = (far_m < RULES.strip_m) & (band_m[loose, 2] < top_m)
-    return result
+    differs = is_near & is_high
+    differs[is_near] &= _differs(near_m, plane[label[is_near], :2], point_m[shows])
+    beyond_m = point_m[is_solid & ~inside]
+    far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
+    other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
+    # without points beyond, nothing shows that the building ends here
+    result[is_near] = differs[is_near] & ((near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z))
+    num_differing = num_on_plane(differs)
+    is_theirs = (2 * num_on_plane(result) > num_differing) & (2 * num_differing > num_near) & ~is_own
+    result &= ~has_plane
+    result[result] = _differs(
+        point_m[result], np.zeros((1, 2)), point_m[shows | (own & has_plane & ~is_theirs[label])]
+    )
+    return result | (own & has_plane & is_theirs[label])
+
+
+def _differs(place_m: np.ndarray, slope: np.ndarray, own_m: np.ndarray) -> np.ndarray:
+    """Whether there is a step between surfaces of a slope (m, 2) through points (m, 3) and the points (n, 3) nearest to
+    them, bool (m,)."""
+    _, beside = nearest(own_m[:, :2], place_m[:, :2], min(RULES.num_near, len(own_m)))
+    apart_m = own_m[beside] - place_m[:, None]
+    step_m = apart_m[:, :, 2] - (apart_m[:, :, :2] * slope[:, None]).sum(axis=2)
+    return np.asarray(np.median(np.abs(step_m), axis=1) > RULES.step_m)

@@ -29,9 +29,14 @@ def test_class_6_decides_where_there_are_ten_such_points() -> None:
 
 def test_a_missed_building_is_what_is_high_and_may_be_one() -> None:
     # ground, low noise, water, high noise and what is below 2 m are not on it; nine of class 6 are, if high
-    classes = [6] * 9 + [0, 1, 3, 5, 2, 7, 9, 18, 1]
-    height = [6.0] * 8 + [1.0] + [6.0] * 8 + [1.9]
-    assert mask(classes, height) == [True] * 8 + [False] + [True] * 4 + [False] * 5
+    classes = [6] * 9 + [0, 3, 5, 2, 7, 9, 18, 1]
+    height = [6.0] * 8 + [1.0] + [6.0] * 7 + [1.9]
+    assert mask(classes, height) == [True] * 8 + [False] + [True] * 3 + [False] * 5
+    # plants are not, where there are ten others
+    assert mask([6] * 9 + [1, 5], [6] * 11) == [True] * 10 + [False]
+    # a neighbour's eave over the roof that the classifier has missed
+    assert mask([6] * 12 + [1] * 60 + [5], [6] * 73) == [True] * 72 + [False]
+    assert mask([6] * 12 + [1] * 40, [6] * 52) == [True] * 12 + [False] * 40
     # nothing high: the few of class 6 after all
     assert mask([6, 1, 2], [1, 1, 0]) == [True, False, False]
     assert mask([1, 2], [1, 0]) == [False, False] and mask([], []) == []

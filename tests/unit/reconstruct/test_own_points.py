@@ -107,6 +107,48 @@ def test_a_plane_that_goes_deep_at_one_end_is_the_buildings() -> None:
     assert (own_classes([RING], point_m, classes) == BUILDING_CLASS).all()
 
 
+def theirs(point_m: np.ndarray, classes: np.ndarray | None = None) -> np.ndarray:
+    if classes is None:
+        classes = np.full(len(point_m), BUILDING_CLASS, np.uint8)
+    return own_classes([RING], point_m, classes) == NEIGHBOUR_CLASS
+
+
+def test_a_roof_that_falls_towards_the_building_is_the_neighbours() -> None:
+    """Half a metre within the border, it ends above the eave; further within, its plane would be below the roof."""
+    point_m = surface({(-1, 9): 0.0})
+    x = point_m[:, 0]
+    point_m[:, 2] = np.where(x > 7.5, 6.3 + 0.9 * (x - 7.5), 5.0 + 0.9 * (7.5 - x))
+    assert (theirs(point_m) == ((x > 7.5) & (x < 8))).all()
+
+
+def test_the_steep_eave_of_a_mansard_is_the_buildings() -> None:
+    """It is no wider than the strip, but there is no step above it."""
+    point_m = surface({(-1, 9): 0.0})
+    x = point_m[:, 0]
+    point_m[:, 2] = np.where(x > 7.1, 8.0 - 2.0 * (x - 7.1), 8.0 + 0.3 * (7.1 - x))
+    point_m[x > 8, 2] = 6.2 + 2.0 * (x[x > 8] - 8)
+    assert not theirs(point_m)[x < 7.8].any(), "but for points in the valley"
+
+
+def test_a_roof_of_which_nothing_is_seen_beyond_the_border_is_the_neighbours() -> None:
+    """Sheet metal sends little back."""
+    point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 15.0})
+    point_m = point_m[point_m[:, 0] < 8]
+    is_strip = point_m[:, 0] > 7.5
+    assert (theirs(point_m) == is_strip).all()
+    ground_m = np.column_stack([xy := grid((8, 0), (9, 10)), np.zeros(len(xy))])
+    assert not theirs(np.vstack([point_m, ground_m])).any()
+
+
+def test_the_neighbours_roof_beside_one_that_the_classifier_has_missed() -> None:
+    """Whether that has no class or class ground."""
+    point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 15.0})
+    is_high = point_m[:, 2] > 4
+    for missed in (UNCLASSIFIED_CLASS, GROUND_CLASS):
+        classes = np.where(is_high, BUILDING_CLASS, missed).astype(np.uint8)
+        assert (theirs(point_m, classes) == (is_high & (point_m[:, 0] < 8))).all()
+
+
 def test_class_ground_at_roof_height_is_roof_and_a_hillside_is_not() -> None:
     point_m = surface({(-1, 0): 0.0, (0, 8): 4.0, (8, 9): 0.0})
     classes = np.full(len(point_m), GROUND_CLASS, np.uint8)
@@ -155,6 +197,10 @@ def test_points_without_class_are_a_roof_where_those_beside_are_lower() -> None:
     classes = np.where(cloud.z_m == 28.5, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
     cloud = replace(cloud, classification=classes)
     ground = ground_of(cloud, crop_cloud(cloud, polygons), polygons, None)
+    assert (float(ground.z_m[0]), str(ground.source[0])) == (20.0, "lowest-points")
+    # 1.5 m above that ground, they would not count
+    low = replace(cloud, z_m=np.where(cloud.z_m == 28.5, 26.5, cloud.z_m))
+    ground = ground_of(low, crop_cloud(low, polygons), polygons, None)
     assert (float(ground.z_m[0]), str(ground.source[0])) == (20.0, "lowest-points")
 
 

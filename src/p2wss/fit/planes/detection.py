@@ -307,12 +307,16 @@ def _merged(
         linked = {i for pair in found if one in pair or other in pair for i in pair} - {one, other}
         found = {pair: value for pair, value in found.items() if one not in pair and other not in pair}
         found |= {pair: joint(*pair) for pair in ((min(one, i), max(one, i)) for i in sorted(linked))}
-    large = [each for _, each in sorted(rows.items()) if len(each) >= min_points]
+    large = {
+        i: fitted(point_m, each, settings.noise_m)
+        for i, each in sorted(rows.items())
+        if len(each) >= min_points
+    }
+    roofs = [i for i, each in large.items() if np.hypot(*each[:2]) < settings.steepest]
     new_label = np.full(len(label), -1)
-    for number, each in enumerate(large):
-        new_label[each] = number
-    planes = [fitted(point_m, each, settings.noise_m) for each in large]
-    return np.array(planes).reshape(-1, 3), new_label
+    for number, i in enumerate(roofs):
+        new_label[rows[i]] = number
+    return np.array([large[i] for i in roofs]).reshape(-1, 3), new_label
 
 
 def _touching(label: np.ndarray, neighbour: np.ndarray) -> set[tuple[int, int]]:

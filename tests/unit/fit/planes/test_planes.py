@@ -125,6 +125,18 @@ def test_where_a_solid_is_not_closed_faces_get_dearer(monkeypatch: pytest.Monkey
     assert np.divide(prices_m3, prices_m3[0]) == pytest.approx([1, 2, 4])
 
 
+def test_points_along_a_line_show_no_steep_roof() -> None:
+    """Returns from a wall: a plane of any slope across the line is near to them."""
+    y = np.linspace(0, 6, 13)
+    x = 0.1 + np.where(np.arange(13) % 2, 0.005, -0.005)
+    wall_m = np.column_stack([x, y, 5 + 2 * y + 15 * (x - 0.1)])
+    roof_m = np.column_stack([each.ravel() for each in np.meshgrid(np.arange(1.0, 9), np.arange(0.0, 7))])
+    point_m = np.vstack([wall_m, np.column_stack([roof_m, np.full(len(roof_m), 3.0)])])
+    found = detect(point_m, 1.0, (0.0,), PLANES.detection)
+    assert len(found.plane) == 1 and np.abs(found.plane[0] - [0, 0, 3]).max() < 1e-6
+    assert (found.label[:13] == -1).all() and (found.label[13:] == 0).all()
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
