@@ -9,7 +9,9 @@ from pydantic import Field
 from p2wss.config.base import Section
 
 _PAPER_MASKING = {"masking": {"inference_share": 0, "table1_share": 0, "random_ratio": [0.3, 0.3]}}
-_PAPER_DECODING = {"decoding": {"mode": "argmax", "angle_support": "all", "num_rotations": 1}}
+_PAPER_DECODING = {
+    "decoding": {"mode": "argmax", "angle_support": "all", "num_rotations": 1, "num_refinements": 0}
+}
 _NO_AUGMENTATION = {
     "augmentation": {
         "mirror": False,

@@ -85,3 +85,9 @@ def test_a_config_that_does_not_belong_to_the_weights_takes_no_memory(tmp_path: 
         load_model(tmp_path / "large.safetensors")
     num_new_bytes = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     assert num_new_bytes < 300e6, "one layer alone would have 4 GB"
+
+
+def test_the_shipped_weights_are_those_of_their_configs() -> None:
+    module = load_model(SHIPPED)
+    config = load(ROOT / "config/shipped-training.yaml", ROOT / "config/shipped-continued.yaml")
+    assert (module.config, module.dvae_config) == (config.model, config.dvae)
