@@ -122,9 +122,8 @@ class _Cache:
 
     def __init__(self, function: Callable) -> None:
         self._function = function
-        _digest_of_sources(
-            Path(function.__code__.co_filename)
-        )  # of what is imported now, and not when it is called
+        # of what is imported now, and not when it is called
+        _digest_of_sources(Path(function.__code__.co_filename))
 
     @cached_property
     def _opened(self) -> FunctionCache | None:
@@ -228,8 +227,8 @@ class _PartOfCallers(JITCodeLibrary):
 
 
 class _Alone(JITCodeLibrary):
-    """A function that only Python calls, or compiled code at its address: in place of its bitcode, with which it would
-    become a part of callers, the names in it are stored. Parsing bitcode would be half of the time of loading."""
+    """A function that only Python calls: in place of its bitcode, with which it would become a part of callers, the
+    names in it are stored. Parsing bitcode would be half of the time of loading."""
 
     def _get_module_for_linking(self) -> Any:
         raise TypeError(
