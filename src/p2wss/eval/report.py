@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
-from pydantic import TypeAdapter
+from pydantic import BaseModel
 
 from p2wss.config import Config, dataset_name, member_places, place_config
 from p2wss.data.building import Reconstruction
@@ -27,8 +27,6 @@ from p2wss.storage.errors import reading
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
 
-# a line of metrics.jsonl
-_RECORD: TypeAdapter[dict[str, float | None]] = TypeAdapter(dict[str, float | None])
 _IGN = "IGN - BD TOPO, RGE ALTI, LiDAR HD ({vintage}), Licence Ouverte / Open Licence 2.0 (Etalab)"
 # stem of the files: caption in LaTeX
 CAPTIONS = {
@@ -305,6 +303,14 @@ def _distributions(frame: pd.DataFrame, names: Mapping[str, str], titles: Mappin
     return images
 
 
+class _Record(BaseModel, extra="allow"):
+    """A line of a ``metrics.jsonl``: numbers by name, or from which step on which code trained."""
+
+    step: float
+    code: str = ""
+    __pydantic_extra__: dict[str, float | None]
+
+
 def read_training(path: Path) -> list[dict[str, Any]]:
     """Records of a ``metrics.jsonl``.
 
@@ -314,9 +320,7 @@ def read_training(path: Path) -> list[dict[str, Any]]:
     for number, line in enumerate(integrity.read_lines(path), 1):
         if line.strip():
             with reading(path, f"JSON lines of numbers by name: line {number}"):
-                records.append(_RECORD.validate_json(line))
-                if records[-1].get("step") is None:
-                    raise ValueError("it has no step")
+                records.append(_Record.model_validate_json(line).model_dump(exclude={"code"}))
     return records
 
 
