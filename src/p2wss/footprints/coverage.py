@@ -261,26 +261,31 @@ class _Arcs:
         return _Arcs(nodes, self.of_ring)
 
     def refitted(self, simple: _Arcs, xy_m: np.ndarray, most_m: float) -> np.ndarray:
-        """The places of the nodes after those between two edges of ``simple`` arcs have moved, by at most ``most_m``,
-        to where the longest edges that these replace would meet. So walls keep their directions."""
-        result = xy_m.copy()
+        """The places of the nodes of ``simple`` arcs after they have moved, by at most ``most_m``, to where the longest
+        two walls would meet, each the longest of the edges that one of ``simple`` replaces. So walls keep their
+        directions."""
+        rows = []
         for arc, kept in zip(self.nodes, simple.nodes, strict=True):
-            if len(kept) == len(arc):
-                continue
-            start, step = xy_m[arc[:-1]], np.diff(xy_m[arc], axis=0)
-            length_m = np.hypot(*step.T)
-            first = np.flatnonzero(np.isin(arc[:-1], kept))
-            after = np.array(
-                [a + length_m[a:b].argmax() for a, b in pairwise([*first.tolist(), len(length_m)])]
-            )
-            before = np.roll(after, 1)
-            turn, off = (_cross(each, step[after]) for each in (step[before], start[after] - start[before]))
-            is_clear = np.abs(turn) > _MIN_SINE * length_m[before] * length_m[after]
-            # a ring begins between two of its edges, an arc does not
-            is_clear[0] &= arc[0] == arc[-1]
-            place_m = start[before] + (off / np.where(is_clear, turn, np.inf))[:, None] * step[before]
-            is_clear &= np.hypot(*(place_m - xy_m[arc[first]]).T) <= most_m
-            result[arc[first[is_clear]]] = place_m[is_clear]
+            length_m = np.hypot(*np.diff(xy_m[arc], axis=0).T)
+            cuts = [*np.flatnonzero(np.isin(arc[:-1], kept)).tolist(), len(length_m)]
+            for a, b in pairwise(cuts):
+                k = a + int(length_m[a:b].argmax())
+                rows += [(arc[end], arc[k], arc[k + 1], length_m[k]) for end in (a, b)]
+        table = np.array(rows)
+        # the longest of each node first
+        table = table[np.lexsort((table[:, 2], table[:, 1], -table[:, 3], table[:, 0]))]
+        node, start, end = table[:, :3].T.astype(np.int64)
+        step, length_m = xy_m[end] - xy_m[start], table[:, 3]
+        first = np.searchsorted(node, node)
+        turn, off = (_cross(each, step) for each in (step[first], xy_m[start] - xy_m[start[first]]))
+        row = np.flatnonzero(np.abs(turn) > _MIN_SINE * length_m * length_m[first])
+        row = row[np.unique(node[row], return_index=True)[1]]
+        place_m = xy_m[start[first[row]]] + (off / np.where(turn, turn, 1))[row, None] * step[first[row]]
+        move_m = np.hypot(*(place_m - xy_m[node[row]]).T)
+        # less is rounding
+        moves = (move_m > _WITHIN_EDGE_M) & (move_m <= most_m)
+        result = xy_m.copy()
+        result[node[row[moves]]] = place_m[moves]
         return result
 
 
