@@ -17,12 +17,14 @@ class Nodes:
 
     xy_m: float64 (n, 2). node: int64 (num_vertices,), the node of each vertex of the rings. ring_offset: ring r has
     the vertices ``ring_offset[r]:ring_offset[r + 1]``. No ring repeats a node twice in a row, and one may have fewer
-    than three.
+    than three. input_end: int64 (num_vertices,), of the edge of the input that the edge to each vertex is part of, the
+    vertex at which it ends.
     """
 
     xy_m: np.ndarray
     node: np.ndarray
     ring_offset: np.ndarray
+    input_end: np.ndarray
 
 
 def join_rings(polygons: Polygons, snap_m: float) -> Nodes:
@@ -40,16 +42,16 @@ def join_rings(polygons: Polygons, snap_m: float) -> Nodes:
     return _divide_edges(xy_m, node, polygons.ring_offset, polygon_of_ring, snap_m)
 
 
-def without_repeats(node: np.ndarray, ring_offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes, offsets) of rings without consecutive equal nodes."""
+def without_repeats(node: np.ndarray, ring_offset: np.ndarray, *others: np.ndarray) -> tuple[np.ndarray, ...]:
+    """(nodes, offsets, others) of rings without consecutive equal nodes. others: what is known of each vertex."""
     if not len(node):
-        return node, ring_offset
+        return node, ring_offset, *others
     keep = node != node[previous_in_ring(ring_offset)]
     # a ring of one repeated node keeps it
     counts = np.add.reduceat(keep, ring_offset[:-1]) if len(ring_offset) > 1 else np.zeros(0, int)
     keep[ring_offset[:-1][counts == 0]] = True
     offset = np.concatenate([[0], np.cumsum(np.maximum(counts, 1))])
-    return node[keep], offset
+    return node[keep], offset, *(other[keep] for other in others)
 
 
 def previous_in_ring(ring_offset: np.ndarray) -> np.ndarray:
@@ -109,7 +111,7 @@ def _divide_edges(
     xy_m: np.ndarray, node: np.ndarray, ring_offset: np.ndarray, polygon_of_ring: np.ndarray, snap_m: float
 ) -> Nodes:
     """Nodes move onto edges of other polygons that they are near, and become nodes of those, too."""
-    node, ring_offset = without_repeats(node, ring_offset)
+    node, ring_offset, input_end = without_repeats(node, ring_offset, np.arange(len(node)))
     polygon = np.repeat(polygon_of_ring, np.diff(ring_offset))
     end = node[next_in_ring(ring_offset)]
     ends = np.sort(np.column_stack([node, end]), axis=1)
@@ -156,4 +158,5 @@ def _divide_edges(
     order = np.lexsort((key, place))
     all_nodes = np.concatenate([node, at[source]])[order]
     num_added = np.concatenate([[0], np.cumsum(counts)])[ring_offset]
-    return Nodes(xy_m, *without_repeats(all_nodes, ring_offset + num_added))
+    all_ends = np.concatenate([input_end, input_end[next_in_ring(ring_offset)[vertex]]])[order]
+    return Nodes(xy_m, *without_repeats(all_nodes, ring_offset + num_added, all_ends))

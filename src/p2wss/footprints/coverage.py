@@ -96,7 +96,13 @@ def _clean(
         level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
         return np.zeros(0, object), is_whole
-    refitted_m = arcs.refitted(simple, xy_m, settings.simplify_m)
+    start_m = polygons.xy_m[previous_in_ring(polygons.ring_offset)]
+    line_m = np.stack([start_m, polygons.xy_m], axis=1)[nodes.input_end]
+    line_m -= origin[before.polygon_of_vertex][:, None]
+    ends = np.sort(np.column_stack([node[previous_in_ring(nodes.ring_offset)], node]), axis=1)
+    shortest_first = np.argsort(np.hypot(*(line_m[:, 1] - line_m[:, 0]).T), kind="stable")
+    of_edge = {(a, b): k for (a, b), k in zip(ends[shortest_first].tolist(), shortest_first, strict=True)}
+    refitted_m = arcs.refitted(simple, xy_m, line_m, of_edge, settings.simplify_m)
     # nothing that happens to one block depends on the others
     crossing = np.isin(block, block[~rings.are_whole(refitted_m)])[rings.polygon_of_vertex]
     refitted_m[rings.node[crossing]] = xy_m[rings.node[crossing]]
@@ -260,27 +266,40 @@ class _Arcs:
             nodes[k] = node[first:last]
         return _Arcs(nodes, self.of_ring)
 
-    def refitted(self, simple: _Arcs, xy_m: np.ndarray, most_m: float) -> np.ndarray:
-        """The places of the nodes after those between two edges of ``simple`` arcs have moved, by at most ``most_m``,
-        to where the longest edges that these replace would meet. So walls keep their directions."""
-        result = xy_m.copy()
+    def refitted(
+        self,
+        simple: _Arcs,
+        xy_m: np.ndarray,
+        line_m: np.ndarray,
+        of_edge: dict[tuple[int, int], int],
+        most_m: float,
+    ) -> np.ndarray:
+        """The places of the nodes of ``simple`` arcs after they have moved, by at most ``most_m``, to where the longest
+        two walls would meet, each the longest edge of the input of those that one of ``simple`` replaces. So walls keep
+        their directions. line_m: (n, 2, 2), ends of edges of the input; of_edge: the number of that of an edge of two
+        nodes, the lower one first."""
+        length_m = np.hypot(*(line_m[:, 1] - line_m[:, 0]).T)
+        rows = []
         for arc, kept in zip(self.nodes, simple.nodes, strict=True):
-            if len(kept) == len(arc):
-                continue
-            start, step = xy_m[arc[:-1]], np.diff(xy_m[arc], axis=0)
-            length_m = np.hypot(*step.T)
-            first = np.flatnonzero(np.isin(arc[:-1], kept))
-            after = np.array(
-                [a + length_m[a:b].argmax() for a, b in pairwise([*first.tolist(), len(length_m)])]
-            )
-            before = np.roll(after, 1)
-            turn, off = (_cross(each, step[after]) for each in (step[before], start[after] - start[before]))
-            is_clear = np.abs(turn) > _MIN_SINE * length_m[before] * length_m[after]
-            # a ring begins between two of its edges, an arc does not
-            is_clear[0] &= arc[0] == arc[-1]
-            place_m = start[before] + (off / np.where(is_clear, turn, np.inf))[:, None] * step[before]
-            is_clear &= np.hypot(*(place_m - xy_m[arc[first]]).T) <= most_m
-            result[arc[first[is_clear]]] = place_m[is_clear]
+            lines = np.array([of_edge[min(a, b), max(a, b)] for a, b in pairwise(arc.tolist())])
+            cuts = [*np.flatnonzero(np.isin(arc[:-1], kept)).tolist(), len(lines)]
+            for a, b in pairwise(cuts):
+                longest = lines[a + length_m[lines[a:b]].argmax()]
+                rows += [(arc[a], longest), (arc[b], longest)]
+        node, line = np.array(rows).T
+        order = np.lexsort((line, -length_m[line], node))
+        node, line = node[order], line[order]
+        first = np.searchsorted(node, node)
+        start_m, step = line_m[line, 0], (line_m[:, 1] - line_m[:, 0])[line]
+        turn, off = (_cross(each, step) for each in (step[first], start_m - start_m[first]))
+        row = np.flatnonzero(np.abs(turn) > _MIN_SINE * length_m[line] * length_m[line[first]])
+        row = row[np.unique(node[row], return_index=True)[1]]
+        place_m = start_m[first[row]] + (off[row] / turn[row])[:, None] * step[first[row]]
+        move_m = np.hypot(*(place_m - xy_m[node[row]]).T)
+        # less is rounding
+        moves = (move_m > _WITHIN_EDGE_M) & (move_m <= most_m)
+        result = xy_m.copy()
+        result[node[row[moves]]] = place_m[moves]
         return result
 
 

@@ -109,7 +109,8 @@ def test_a_house_that_fills_a_courtyard_and_one_within_it() -> None:
     )
     ring, inner, alone = clean([moved(yard), moved(filling), moved(apart)])
     assert len(ring.interiors) == 2 and overlap_m2([ring, inner, alone]) == 0
-    assert wall_m(ring, inner) == pytest.approx(40, abs=0.2)
+    # the walls of the courtyard are the longer ones
+    assert wall_m(ring, inner) == pytest.approx(4 * 10.06, abs=1e-6)
     assert corners(inner) <= corners(ring)
     assert alone.distance(ring) == pytest.approx(1.5, abs=1e-6)
 
@@ -138,6 +139,19 @@ def test_walls_keep_the_directions_of_their_longest_edges() -> None:
         turn_deg = (np.degrees(np.arctan2(along[:, 1], along[:, 0])) - 17) % 90
         assert len(along) == 4 and np.minimum(turn_deg, 90 - turn_deg).max() < 1e-5
     assert len(corners(cleaned[0]) & corners(cleaned[1])) == 2
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.06])
+def test_walls_keep_their_directions_where_three_meet(gap_m: float) -> None:
+    """A facade that turns by 0.13 m just before the deeper neighbour ends at the wall of that, straight on."""
+    left = shapely.Polygon([(0, 0), (10, 0), (10, 8), (9.6, 8), (9.6, 7.87), (0, 7.87)])
+    right = shapely.box(10 + gap_m, 0, 18, 10)
+    cleaned = clean([moved(left), moved(right)])
+    for shape in cleaned:
+        along = np.diff(shapely.get_coordinates(shape), axis=0)
+        turn_deg = (np.degrees(np.arctan2(along[:, 1], along[:, 0])) - 17) % 90
+        assert len(along) == 4 and np.minimum(turn_deg, 90 - turn_deg).max() < 1e-5
+    assert wall_m(*cleaned) == pytest.approx(7.87, abs=1e-6)
 
 
 def test_a_gap_wider_than_snap_stays() -> None:
