@@ -19,6 +19,8 @@ _RANK = 1e-2
 # changes of planes that move no vertex by more than the square root of this share of themselves are not made
 _NO_CHANGE = 1e-10
 _NUM_ROUNDS = 4
+# a triangle is turned over if twice its area along its former normal is less than minus this
+_NO_AREA_M2 = 1e-6
 
 
 def with_meeting_planes(
@@ -72,6 +74,12 @@ def with_meeting_planes(
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
     return moved, apart_m[place]
+
+
+def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
+    """bool (t,): which triangles of a mesh face the other way than the planes that they had before."""
+    normal = before.planes.normal[before.planes.number]
+    return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
 def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

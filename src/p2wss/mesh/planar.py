@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from p2wss.mesh.meeting import with_meeting_planes
+from p2wss.mesh.meeting import turned_over, with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.topology import NEXT
 from p2wss.mesh.triangulation import triangulated
@@ -19,9 +19,8 @@ _EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 2e-4, 0.06
 _MAX_BENT_M, _PARALLEL = 5e-3, 1e-3
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
-# a triangle of less height than this has no normal that survives the rounding of a file; one is turned over if twice
-# its area is less than minus the second figure
-_NO_HEIGHT_M, _NO_AREA_M2 = 1e-3, 1e-6
+# a triangle of less height than this has no normal that survives the rounding of a file
+_NO_HEIGHT_M = 1e-3
 # with a triangle whose height is a smaller share of its longest side, faces are divided anew
 _NARROW = 0.02
 
@@ -87,8 +86,7 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0) -> Mesh | None:
         move_m.max() > max(_MAX_MOVE_M, max_move_m)
         or move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
     )
-    normal = mesh.planes.normal[mesh.planes.number]
-    num_turned = [((each.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2).sum() for each in (mesh, moved)]
+    num_turned = [turned_over(each, mesh).sum() for each in (mesh, moved)]
     return None if is_far or apart_m.max() > _PLANAR_M or num_turned[1] > num_turned[0] else moved
 
 

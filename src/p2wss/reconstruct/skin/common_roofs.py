@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.meeting import with_meeting_planes
+from p2wss.mesh.meeting import turned_over, with_meeting_planes
 from p2wss.mesh.topology import NEXT
 from p2wss.reconstruct.skin.solids import faces_of, opposite_walls
 from p2wss.skeleton.groups import groups
@@ -16,9 +16,8 @@ from p2wss.skeleton.types import FaceKind
 
 # steps between neighbours lower than this are none, and no vertex moves further
 MAX_STEP_M = 0.1
-# planes do not meet if they are further than this from their point; a triangle is turned over if twice its area is less
-# than minus the second figure
-_APART_M, _NO_AREA_M2 = 1e-4, 1e-6
+# planes do not meet if they are further than this from their point
+_APART_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,6 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
     mesh = Mesh.joined(solids)
     building = np.repeat(np.arange(len(solids)), [len(solid.vertex_m) for solid in solids])
     steps = _steps(mesh, solids, building, max_step_m)
-    normal = mesh.planes.normal[mesh.planes.number]
     moved, is_wrong = mesh, bool(steps)
     while is_wrong:
         linked = np.array([(step.vertex, step.other) for step in steps if step.other >= 0], int).reshape(
@@ -53,7 +51,7 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
         moved, apart_m = with_meeting_planes(mesh, groups(len(building), linked), through)
         is_bad = np.linalg.norm(moved.vertex_m - mesh.vertex_m, axis=1) > max_step_m
         is_bad |= apart_m > _APART_M
-        is_bad[mesh.triangle[(moved.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2]] = True
+        is_bad[mesh.triangle[turned_over(moved, mesh)]] = True
         worst: dict[int, tuple[bool, float, int]] = {}
         for number, step in enumerate(steps):
             rank = bool(is_bad[step.vertex] or (step.other >= 0 and is_bad[step.other])), step.gap_m, number

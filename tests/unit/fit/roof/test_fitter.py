@@ -47,6 +47,11 @@ def test_recovers_a_flat_roof_as_zero_degrees():
     assert fit.eave_z_m == pytest.approx(5.0, abs=0.01)
 
 
+def test_a_roof_that_noise_of_few_points_tilts_is_flat():
+    point_m = sample([RECTANGLE], [0] * 4, 5.0, 25, noise_m=0.1, seed=7)
+    assert fit_roof([RECTANGLE], point_m).angle_deg.tolist() == [0] * 4
+
+
 def test_outliers_do_not_move_the_roof():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
     point_m[::12, 2] += 4.0
