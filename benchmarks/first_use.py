@@ -74,11 +74,11 @@ def p2wss(cache: Path, *arguments: object) -> tuple[float, float]:
 
 def write_sample(folder: Path) -> tuple[Path, Path]:
     """(cloud, footprints) of three buildings."""
-    frame, cloud = sample()
+    features, cloud = sample()
     las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
     las.x, las.y, las.z, las.classification = cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification
     las.write(folder / "cloud.laz")
-    frame[["building_id", "geometry"]].to_file(folder / "footprints.gpkg")
+    features.to_frame()[["building_id", "geometry"]].to_file(folder / "footprints.gpkg")
     return folder / "cloud.laz", folder / "footprints.gpkg"
 
 

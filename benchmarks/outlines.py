@@ -33,11 +33,12 @@ from real_places import Place, judged_rows, places
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
+from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.footprints.cleaning import clean_footprints
 from p2wss.reconstruct import unclassified
 from p2wss.reconstruct.area import footprint_settings
-from p2wss.reconstruct.outlines import outline_frame
+from p2wss.reconstruct.outlines import outline_features
 from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.result import Result
 
@@ -131,18 +132,16 @@ def measures(rows: list[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def judged(
-    frame: gpd.GeoDataFrame, cloud: Cloud, place: Place, judge: Path, houses: np.ndarray
-) -> dict[str, Any]:
+def judged(features: Features, cloud: Cloud, place: Place, judge: Path, houses: np.ndarray) -> dict[str, Any]:
     """Solids on the outlines: their number, which are closed, points to mesh by the judge."""
     config = Config()
-    cleaned = clean_footprints(frame, footprint_settings(config))
+    cleaned = clean_footprints(features, footprint_settings(config))
     results = run(cleaned, cloud, None, "tile", config.reconstruct)
     with tempfile.TemporaryDirectory() as folder:
         outlines = Path(folder) / "outlines.gpkg"
-        frame.to_file(outlines)
+        features.to_frame().to_file(outlines)
         rows = judged_rows(judge, results, place, outlines)
-    shapes = dict(zip(frame["building_id"], frame.geometry, strict=True))
+    shapes = dict(zip(features["building_id"], features.geometry, strict=True))
     everything = shapely.union_all(houses)
     on_map = [
         row["p2m"]
@@ -152,7 +151,7 @@ def judged(
     ]
     closed = [result for result in results if result.reconstruction.has_mesh and is_closed(result)]
     return {
-        "outlines": len(frame),
+        "outlines": len(features),
         "closed": len(closed) / len(results),
         "flat": sum(result.status == "flat" for result in results),
         "p2m": float(np.mean([row["p2m"] for row in rows if "p2m" in row])),
@@ -213,9 +212,9 @@ def main() -> int:
         near = [shapely.contains_xy(house, cloud.x_m, cloud.y_m).any() for house in houses]
         houses = houses[np.array(near)]
         crs = pyproj.CRS.from_epsg(place.epsg)
-        frame = outline_frame(cloud, settings, crs)
+        features = outline_features(cloud, settings, crs)
         ignored = unmapped(houses, cloud)
-        rows = compared(houses, frame.geometry.to_numpy(), ignored)
+        rows = compared(houses, features.geometry, ignored)
         if arguments.rows:
             for row in rows:
                 print(row)
@@ -231,16 +230,16 @@ def main() -> int:
             figures.at_least("houses found", totals["found"], BARS["found"])
             figures.at_least("IoU with blocks of the map", totals["iou"], BARS["iou"])
             figures.at_most("vertices by those of the map", totals["vertices"], BARS["vertices"])
-            seconds = cpu_seconds(partial(outline_frame, cloud, settings, crs), 1)
-            figures.row("cpu", {"ms per outline": 1000 * seconds / len(frame)})
-        bare = outline_frame(without_classes(cloud), settings, crs).geometry.to_numpy()
+            seconds = cpu_seconds(partial(outline_features, cloud, settings, crs), 1)
+            figures.row("cpu", {"ms per outline": 1000 * seconds / len(features)})
+        bare = outline_features(without_classes(cloud), settings, crs).geometry
         unclassified_totals = measures(compared(houses, bare, ignored))
         print(f"{name}, without classes", json.dumps(unclassified_totals), flush=True)
         figures.row(f"{name}, without classes", unclassified_totals)
         if arguments.picture is not None and name == arguments.places[0]:
-            picture(arguments.picture, houses, frame.geometry.to_numpy(), cloud)
+            picture(arguments.picture, houses, features.geometry, cloud)
         if arguments.judge is not None:
-            solids = judged(frame, cloud, place, arguments.judge, houses)
+            solids = judged(features, cloud, place, arguments.judge, houses)
             print(f"{name}, solids", json.dumps(solids), flush=True)
             figures.row(f"{name}, solids", solids)
             if name == "delft":

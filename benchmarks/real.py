@@ -67,15 +67,15 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
 
 def read_files(footprints: Path, cloud_files: Sequence[Path], name: str, config: Config) -> list[Building]:
     """The buildings of a footprint file, clean footprints with their points."""
-    frame = cleaning.read_footprints(footprints, None, needs_crs=False)
-    frame = cleaning.clean_footprints(frame, footprint_settings(config))
-    cloud = clouds.read_clouds(list(cloud_files), window(frame))
-    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+    features = cleaning.read_footprints(footprints, None, needs_crs=False)
+    features = cleaning.clean_footprints(features, footprint_settings(config))
+    cloud = clouds.read_clouds(list(cloud_files), window(features))
+    polygons = polygon_arrays.to_polygons(features.geometry)
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)
     origin = polygon_arrays.origins(polygons)
     xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
     buildings = []
-    for i, building_id in enumerate(frame["building_id"]):
+    for i, building_id in enumerate(features["building_id"]):
         rows = cropped.of(i)
         if len(rows) >= 50:  # as the judge does
             buildings.append(

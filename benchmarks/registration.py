@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from p2wss.clouds import reading as clouds
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.data import polygon_arrays
+from p2wss.data.features import Features
 from p2wss.data.seeds import generator
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct.pipeline import run as run_reconstruct
@@ -51,11 +53,11 @@ def read(place: Place) -> tuple[gpd.GeoDataFrame, Cloud]:
 
 
 def moved(
-    frame: gpd.GeoDataFrame, length_m: float, seed: int, noise_m: float = 0.0
-) -> tuple[gpd.GeoDataFrame, np.ndarray, np.ndarray]:
-    """(frame, vector of each row, block of each row): each block moved by a vector of that length, and each vertex by
+    features: Features, length_m: float, seed: int, noise_m: float = 0.0
+) -> tuple[Features, np.ndarray, np.ndarray]:
+    """(features, vector and block of each): each block moved by a vector of that length, and each vertex by
     noise, the same for all footprints that share it."""
-    shapes = frame.geometry.to_numpy()
+    shapes = features.geometry
     block = find_blocks(shapes).of_footprint
     angle = [
         generator(seed, "registration", length_m, b).uniform(0, 2 * np.pi) for b in range(block.max() + 1)
@@ -66,15 +68,15 @@ def moved(
     noise = generator(seed, "vertices").normal(0, noise_m, (node.max() + 1, 2))[node.ravel()]
     xy_m = polygons.xy_m + np.repeat(vector, np.diff(polygons.vertex_offset), axis=0) + noise
     result = polygon_arrays.to_geometries(Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset))
-    return frame.set_geometry(gpd.GeoSeries(result, crs=frame.crs)), vector, block
+    return replace(features, geometry=result), vector, block
 
 
 def judged(
-    frame: gpd.GeoDataFrame, cloud: Cloud, place: Place, predictor: Any, judge: Path, **settings: Any
+    features: Features, cloud: Cloud, place: Place, predictor: Any, judge: Path, **settings: Any
 ) -> dict[str, dict[str, Any]]:
     """The judge's rows by id. settings: of the section reconstruct that differ from the defaults."""
     config = Config().reconstruct.model_copy(update=settings)
-    results = run_reconstruct(frame, cloud, predictor, "tile", config)
+    results = run_reconstruct(features, cloud, predictor, "tile", config)
     return {row["id"]: row for row in judged_rows(judge, results, place)}
 
 
@@ -137,7 +139,7 @@ def town(folder: Path, num_buildings: int) -> Place:
     cloud = next(folder.glob("lidar/*.laz"))
     source = next(folder.glob("bdtopo/*.gpkg"))
     points = clouds.read_clouds([cloud])
-    frame = footprints.read_footprints(source)
+    frame = footprints.read_footprints(source).to_frame()
     box = shapely.box(points.x_m.min(), points.y_m.min(), points.x_m.max(), points.y_m.max())
     frame = frame[frame.within(box)].iloc[:num_buildings][["building_id", "geometry"]]
     path = folder / "registration.gpkg"
@@ -153,7 +155,7 @@ def of_sheds(figures: Figures, arguments: argparse.Namespace) -> None:
         for seed in arguments.seeds:
             sheds = shed_footprints(frame, cloud, generator(seed, "sheds", name))
             shapes = np.array([*frame.geometry, *sheds], dtype=object)
-            both = gpd.GeoDataFrame({"building_id": range(len(shapes)), "status": "ok"}, geometry=shapes)
+            both = Features(shapes, {"building_id": np.arange(len(shapes)).astype(str)})
             rows = register(both, cloud)[1][len(frame) :]
             num_sheds += len(rows)
             num_moved += sum(row.shift_m != (0.0, 0.0) for row in rows)
@@ -167,11 +169,9 @@ def of_sheds(figures: Figures, arguments: argparse.Namespace) -> None:
     figures.at_most("share of sheds without a building that move", num_moved / num_sheds, 0.01)
 
 
-def shed_footprints(
-    frame: gpd.GeoDataFrame, cloud: Cloud, draw: np.random.Generator
-) -> list[shapely.Polygon]:
+def shed_footprints(features: Features, cloud: Cloud, draw: np.random.Generator) -> list[shapely.Polygon]:
     """Rectangles at random places with points, of which at most 30 % are of class building."""
-    footprint_tree = shapely.STRtree(frame.geometry.to_numpy())
+    footprint_tree = shapely.STRtree(features.geometry)
     low = np.array([cloud.x_m.min() + 3, cloud.y_m.min() + 3])
     high = np.array([cloud.x_m.max() - 9, cloud.y_m.max() - 9])
     result: list[shapely.Polygon] = []

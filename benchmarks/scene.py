@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import manifold3d
@@ -59,18 +59,18 @@ def read(data: Path, model: Path | None) -> Scene:
     """The scene that ``p2wss reconstruct`` makes of Delft with its defaults."""
     config, folder = Config(), data / "delft_ahn3"
     features = footprints.read_footprints(folder / "footprints.gpkg", needs_crs=False)
-    frame = footprints.clean_footprints(features, footprint_settings(config))
-    cloud = clouds.read_clouds([folder / "ahn3.laz"], window(frame))
+    cleaned = footprints.clean_footprints(features, footprint_settings(config))
+    cloud = clouds.read_clouds([folder / "ahn3.laz"], window(cleaned))
     weights, predictor = weights_to_use(model, config.reconstruct), None
     if weights is not None:
         from p2wss.nets.predictor import load_predictor
 
         predictor = load_predictor(weights)
     if config.reconstruct.registration != "never":
-        frame, _ = register(frame, cloud)
-    results = run(frame, cloud, predictor, "delft", config.reconstruct)
+        cleaned, _ = register(cleaned, cloud)
+    results = run(cleaned, cloud, predictor, "delft", config.reconstruct)
     rows = [result.reconstruction for result in results]
-    source = footprints.split_parts(features, config.scenes.min_area_m2).geometry.to_numpy()
+    source = footprints.split_parts(features, config.scenes.min_area_m2).geometry
     first, second = shapely.STRtree(source).query(source, predicate="dwithin", distance=0.5)
     pairs = np.column_stack([first, second])[first < second]
     return Scene(source, np.array([outline(row) for row in rows], object), pairs, rows, data)
@@ -159,15 +159,16 @@ def measure_cleaning(scene: Scene, figures: Figures) -> None:
     path = scene.data / "olemps_bdtopo" / "BATIMENT.shp"
     if not path.exists():
         return
-    frame, settings = footprints.read_footprints(path), footprint_settings(Config())
-    seconds = cpu_seconds(lambda: footprints.clean_footprints(frame, settings))
-    figures.at_most("cleaning, ms per footprint of Olemps", 1e3 * seconds / len(frame), 1.0)
-    largest = frame.iloc[[int(shapely.get_num_coordinates(frame.geometry.to_numpy()).argmax())]]
+    features, settings = footprints.read_footprints(path), footprint_settings(Config())
+    seconds = cpu_seconds(lambda: footprints.clean_footprints(features, settings))
+    figures.at_most("cleaning, ms per footprint of Olemps", 1e3 * seconds / len(features), 1.0)
+    largest = features.take(np.array([shapely.get_num_coordinates(features.geometry).argmax()]))
     # with a neighbour along its north side, so that it is cleaned as part of a coverage
-    x_min, _, x_max, y_max = largest.total_bounds
-    shape = largest.geometry.iloc[0]
+    x_min, _, x_max, y_max = shapely.total_bounds(largest.geometry)
+    (shape,) = largest.geometry
     beside = shapely.box(x_min, y_max - 5, x_max, y_max + 5).difference(shape)
-    pair = frame.iloc[:2].copy().set_geometry([shape, max(shapely.get_parts(beside), key=shapely.area)])
+    both = np.array([shape, max(shapely.get_parts(beside), key=shapely.area)])
+    pair = replace(features.take(np.arange(2)), geometry=both)
     seconds = cpu_seconds(lambda: footprints.clean_footprints(pair, settings))
     figures.row("largest footprint of Olemps", {"vertices": len(shape.exterior.coords), "ms": 1e3 * seconds})
 

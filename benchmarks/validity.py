@@ -39,9 +39,9 @@ OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo" / "BATIMENT.shp"
 
 def outlines(path: Path) -> list[Rings]:
     """Cleaned outlines around the origin, as the product meshes them."""
-    frame = clean_footprints(read_footprints(path), Scenes())
-    frame = frame[frame["status"] == "ok"]
-    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+    features = clean_footprints(read_footprints(path), Scenes())
+    features = features.take(features["status"] == "ok")
+    polygons = polygon_arrays.to_polygons(features.geometry)
     origins = polygon_arrays.origins(polygons)
     return [[ring - origin for ring in polygons.rings(i)] for i, origin in enumerate(origins)]
 

@@ -144,7 +144,7 @@ def outlines(
     from p2wss.reconstruct.inputs import check_inputs, read_outlines
 
     settings = as_config(config)
-    return read_outlines(check_inputs(cloud, None, settings, crs), settings)[1]
+    return read_outlines(check_inputs(cloud, None, settings, crs), settings)[1].to_frame()
 
 
 def check(path: str | Path) -> Validity:

@@ -22,6 +22,7 @@ import shapely
 import torch
 import toy_crops
 import toy_scene
+from feature_tables import read_footprints
 from torch import nn
 
 from p2wss.clouds import scan_files as scan_file
@@ -33,7 +34,6 @@ from p2wss.eval.reconstructions import RECONSTRUCTIONS
 from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetch import bdtopo
 from p2wss.fetch.cloud import write_cloud
-from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError

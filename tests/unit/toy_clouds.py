@@ -9,6 +9,7 @@ import shapely
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Scenes
+from p2wss.data.features import Features
 from p2wss.footprints import cleaning
 
 LAMBERT, RD, WGS84 = (pyproj.CRS.from_epsg(code) for code in (2154, 28992, 4326))
@@ -30,5 +31,5 @@ def cloud_over(*boxes: shapely.Polygon) -> Cloud:
     return Cloud(x, y, z, classes, LAMBERT)
 
 
-def cleaned(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    return cleaning.clean_footprints(frame, Scenes())
+def cleaned(frame: gpd.GeoDataFrame) -> Features:
+    return cleaning.clean_footprints(Features.of(frame), Scenes())

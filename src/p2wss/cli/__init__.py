@@ -64,16 +64,17 @@ _COMPLETE = "_P2WSS_COMPLETE"
 
 
 @contextmanager
-def importing(without: str = "") -> Iterator[None]:
-    """Imports within leave no garbage, and searching it would take a tenth of the start. without: a package that others
-    import if it is installed, for what this command does not do."""
+def importing(*without: str) -> Iterator[None]:
+    """Imports within leave no garbage, and searching it would take a tenth of the start. without: packages that others
+    import if they are installed, for what this command does not do."""
     gc.disable()
-    sys.modules.setdefault(without, None)  # type: ignore[arg-type]
+    hidden = set(without) - sys.modules.keys()
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
     try:
         yield
     finally:
-        if sys.modules[without] is None:
-            del sys.modules[without]
+        for name in hidden:
+            del sys.modules[name]
         gc.freeze()
         gc.enable()
 

@@ -66,9 +66,9 @@ def crops_real(
     tile_size_m = config.region.tile_size_m
     bounds = bounds_of_tile(tile, config)
     features = cleaning.read_whole_blocks(footprints, bounds, config.scenes.snap_m)
-    frame = cleaning.clean_footprints(features, config.scenes)
+    features = cleaning.clean_footprints(features, config.scenes)
     classes = class_set(**config.region.classes.model_dump())
-    columns, num_excluded = crops.crop_real(frame, list(clouds), tile, tile_size_m, config.crops, classes)
+    columns, num_excluded = crops.crop_real(features, list(clouds), tile, tile_size_m, config.crops, classes)
     tile = place + tile
     columns["tile"] = [tile] * len(columns["num_points"])
     settings = section_json(config, "region", "scenes", "crops", without=TILE_LISTS)

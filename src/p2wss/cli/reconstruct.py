@@ -125,7 +125,8 @@ def reconstruct(
         raise click.UsageError("CLOUD, FOOTPRINTS or OUT is missing", context)
     files.check_stem(name or "")
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
-    with importing(without="requests"):  # of laspy, for clouds at URLs
+    # of laspy, for clouds at URLs, and of pyogrio, for what it gives as tables
+    with importing("requests", "pandas", "geopandas", "pyarrow"):
         from p2wss.reconstruct.inputs import check_inputs
 
     start = time.monotonic()
@@ -133,10 +134,11 @@ def reconstruct(
         clouds, footprints, config, crs, terrain, model, may_be_empty=chosen["tile"] is not None
     )
     with importing():
-        from p2wss.fetch.area import bounds_of_bbox
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
     if chosen["bbox"] is not None:
+        from p2wss.fetch.area import bounds_of_bbox  # which loads pandas
+
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
     with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
         write_run(out, result, start, name=name, clean=clean)

@@ -67,13 +67,13 @@ def scenes_cut(
 
     tile_size_m, margin_m = config.region.tile_size_m, config.scenes.margin_m
     bounds = bounds_of_tile(tile, config, margin_m + NEIGHBOUR_DISTANCE_M)
-    frame = read_whole_blocks(footprints, bounds, config.scenes.snap_m)
+    features = read_whole_blocks(footprints, bounds, config.scenes.snap_m)
     terrain, dtm_crs = read_terrain(dtm)
-    check_crs(dtm_crs, frame.crs, dtm, f"{footprints} is", "reproject one of them")
+    check_crs(dtm_crs, features.crs, dtm, f"{footprints} is", "reproject one of them")
     window = terrain.cut(bounds_of_tile(tile, config, margin_m))
     if not window.height_m.size:
         raise InputError(f"{dtm}: does not cover tile {tile}")
-    scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
+    scene = cut_scene(features, terrain, tile, tile_size_m, config.scenes)
     scene["tile"] = place + scene["tile"]
     if not scene["in_tile"].any():
         log.warning(f"{footprints}: has no building in tile {tile}: an empty scene")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
 import numpy as np
 import pyarrow as pa
 
@@ -17,6 +16,7 @@ from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
 from p2wss.data.crs import check_crs
+from p2wss.data.features import Features
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
 from p2wss.skeleton.types import Polygons
@@ -24,7 +24,7 @@ from p2wss.storage.schemas.crops import CROPS
 
 
 def crop_real(
-    frame: gpd.GeoDataFrame,
+    features: Features,
     clouds: Sequence[str | Path],
     tile: str,
     tile_size_m: float,
@@ -34,20 +34,21 @@ def crop_real(
     """The columns of :data:`p2wss.storage.schemas.crops.CROPS` without labels, and the number of excluded footprints
     per reason.
 
-    frame: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. Its footprints are assigned to tiles as in
-    the scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
-    its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS.
+    features: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. They are assigned to tiles as in the
+    scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
+    its margin, in their CRS. classes: of these clouds; the columns have those of LAS.
 
     Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
-    frame = frame[np.isfinite(frame["centre_x_m"])]
-    frame = frame[tiling.tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile]
-    is_usable = frame["status"].to_numpy() == "ok"
-    num_excluded = Counter(frame["status"].to_numpy()[~is_usable])
-    frame = frame[is_usable]
-    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+    features = features.take(np.isfinite(features["centre_x_m"]))
+    tiles = tiling.tiles_of_points(features["centre_x_m"], features["centre_y_m"], tile_size_m)
+    features = features.take(tiles == tile)
+    is_usable = features["status"] == "ok"
+    num_excluded = Counter(features["status"][~is_usable])
+    features = features.take(is_usable)
+    polygons = polygon_arrays.to_polygons(features.geometry)
     cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)), classes)
-    check_crs(cloud.crs, frame.crs, clouds[0], "the footprints are", "reproject one of them")
+    check_crs(cloud.crs, features.crs, clouds[0], "the footprints are", "reproject one of them")
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)
     classification = cloud.classification[cropped.point]
@@ -59,7 +60,7 @@ def crop_real(
     for field in CROPS:
         if field.nullable:
             columns[field.name] = pa.nulls(len(selection), field.type)
-    columns["building_id"] = frame["building_id"].to_numpy()[selection]
+    columns["building_id"] = features["building_id"][selection]
     columns["tile"] = np.full(len(selection), tile, dtype=object)
     columns["split"] = np.full(len(selection), "none", dtype=object)
     return columns, num_excluded

@@ -15,8 +15,6 @@ from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
-    import geopandas as gpd
-
     from p2wss.data.terrain import Terrain
 
 # a transformation that is less accurate moves footprints visibly
@@ -240,32 +238,31 @@ def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
     return int(zones[0].code)
 
 
-def reprojected(frame: gpd.GeoDataFrame, crs: pyproj.CRS, path: str | Path) -> gpd.GeoDataFrame:
-    """Footprints in the horizontal part of ``crs``, with a message of what was done; heights of vertices are dropped.
+def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: str | Path) -> np.ndarray:
+    """Footprints of a file, object (n,), in the horizontal part of ``crs``, with a message of what was done; heights of
+    vertices are dropped.
 
     Coordinates that cannot be transformed become infinite. Raises :class:`InputError` if that holds for all, or if
     there is no transformation.
     """
     target = horizontal(crs)
-    if frame.crs is None or same_crs(frame.crs, target):
-        return frame
+    if same_crs(source, target):
+        return shapes
     try:
-        transformer = pyproj.Transformer.from_crs(horizontal(frame.crs), target, always_xy=True)
+        transformer = pyproj.Transformer.from_crs(horizontal(source), target, always_xy=True)
     except pyproj.exceptions.ProjError as error:
-        raise InputError(
-            f"{path}: no transformation from {frame.crs.name} to {target.name}: {error}"
-        ) from error
-    shapes = shapely.force_2d(frame.geometry.to_numpy())
+        raise InputError(f"{path}: no transformation from {source.name} to {target.name}: {error}") from error
+    shapes = shapely.force_2d(shapes)
     before = shapely.get_coordinates(shapes)
     after = np.column_stack(transformer.transform(*before.T)) if len(before) else before
     if np.isfinite(before).all(axis=1).any() and not np.isfinite(after).all(axis=1).any():
         raise InputError(
-            f"{path}: is in {frame.crs.name}, whose coordinates cannot be transformed to {target.name}"
+            f"{path}: is in {source.name}, whose coordinates cannot be transformed to {target.name}"
         )
-    result = frame.set_geometry(shapely.set_coordinates(shapes, after)).set_crs(target, allow_override=True)
+    result = np.asarray(shapely.set_coordinates(shapes, after))
     accuracy_m = _accuracy_m(transformer)
     text = "unknown accuracy" if accuracy_m is None else f"accuracy {accuracy_m:g} m"
-    log.info("note: %s: reprojected from %s to %s, %s", path, frame.crs.name, target.name, text)
+    log.info("note: %s: reprojected from %s to %s, %s", path, source.name, target.name, text)
     if accuracy_m is None or accuracy_m > _ACCURATE_M:
         log.warning(
             "warning: %s: footprints may be displaced by up to this accuracy; a more accurate transformation needs"

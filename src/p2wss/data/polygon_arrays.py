@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
 import shapely
 
 from p2wss.skeleton.types import Polygons
 from p2wss.storage import files
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 def to_polygons(geometries: Sequence[shapely.Polygon] | np.ndarray) -> Polygons:

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays
+from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
@@ -102,11 +103,15 @@ def _footprints(
 ) -> gpd.GeoDataFrame:
     """The polygons by id, in the CRS of the clouds if both are known."""
     name = footprints if isinstance(footprints, str | Path) else "footprints"
-    frame = read_vector(footprints) if isinstance(footprints, str | Path) else footprints
-    names = building_ids(frame, schema_of(list(frame.columns)), id_field, name)
+    if isinstance(footprints, str | Path):
+        features, number = read_vector(footprints)
+    else:
+        features, number = Features.of(footprints), footprints.index.to_numpy()
+    names = building_ids(features.columns, number, schema_of(features.columns), id_field, name)
+    frame = features.to_frame()
     if crs is not None and frame.crs is not None:
         frame = frame.to_crs(crs)
-    frame = frame.set_index(names.rename("building_id"))
+    frame = frame.set_index(pd.Index(names, name="building_id"))
     return frame[~frame.geometry.is_empty & frame.geom_type.isin(("Polygon", "MultiPolygon"))]
 
 

@@ -16,6 +16,7 @@ import pyproj
 import shapely
 
 from p2wss.data.crs import check_crs
+from p2wss.data.features import Features
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
@@ -78,18 +79,17 @@ def _as_in_bdtopo(frame: gpd.GeoDataFrame, schema: str, name: str) -> gpd.GeoDat
 
     Features with the id and the geometry of another one, as at the seams of files, are dropped.
     """
-    table = pd.DataFrame(frame.drop(columns=frame.geometry.name))
-    columns = schema_of(list(table.columns), schema)
-    by_name = {str(column).lower(): column for column in table.columns}
+    columns = schema_of(list(frame.columns), schema)
+    by_name = {str(column).lower(): column for column in frame.columns}
     id_column = next((by_name[column] for column in columns.ids if column in by_name), None)
     if id_column is not None:
-        keys = pd.DataFrame({"id": table[id_column], "shape": shapely.to_wkb(frame.geometry.to_numpy())})
-        is_again = keys.duplicated().to_numpy() & keys["id"].notna().to_numpy()
-        frame, table = frame[~is_again], table[~is_again]
+        keys = pd.DataFrame({"id": frame[id_column], "shape": shapely.to_wkb(frame.geometry.to_numpy())})
+        frame = frame[~(keys.duplicated().to_numpy() & keys["id"].notna().to_numpy())]
+    features, number = Features.of(frame), frame.index.to_numpy()
     result = {
-        "cleabs": building_ids(table, columns, None, name),
-        "hauteur": stated_heights_m(table, replace(columns, floors=()), None, name),
-        "nombre_d_etages": stated_heights_m(table, FootprintSchema((), (), columns.floors), None, name),
+        "cleabs": building_ids(features.columns, number, columns, None, name),
+        "hauteur": stated_heights_m(features, replace(columns, floors=()), None, name),
+        "nombre_d_etages": stated_heights_m(features, FootprintSchema((), (), columns.floors), None, name),
     }
     return gpd.GeoDataFrame(result, geometry=frame.geometry.to_numpy(), crs=frame.crs)
 

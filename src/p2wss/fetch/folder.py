@@ -119,7 +119,8 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
         return frame
     if same_crs(frame.crs, region_crs):
         return frame.set_crs(region_crs, allow_override=True)
-    frame = reprojected(frame, region_crs, path)
+    shapes = reprojected(frame.geometry.to_numpy(), frame.crs, region_crs, path)
+    frame = frame.set_geometry(shapes).set_crs(region_crs, allow_override=True)
     return frame[frame.intersects(shapely.box(*bounds))]
 
 

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import shapely
 
 from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.crs import MetricCrs, horizontal, reprojected
+from p2wss.data.features import Features
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import read_attributes, read_vector
 from p2wss.storage.errors import InputError
+
+if TYPE_CHECKING:
+    import geopandas as gpd
 
 _TYPES_WITH_POLYGONS = [
     shapely.GeometryType.POLYGON,
@@ -28,7 +33,7 @@ _TYPES_WITH_POLYGONS = [
 ]
 # footprints that touch themselves are cut apart with a gap of this width; cleaning would close a smaller one
 _OPENING_M = 0.15
-# column of tuples: the numbers of parts of a feature that would give them the id of another feature of its file
+# column of sets: the numbers of parts of a feature that would give them the id of another feature of its file
 _TAKEN = "p2wss_taken_part_numbers"
 _TOO_SMALL = skeleton.Status.TOO_SMALL.reason
 
@@ -41,7 +46,7 @@ def read_footprints(
     schema: str = "auto",
     height_field: str | None = None,
     metric: MetricCrs | None = None,
-) -> gpd.GeoDataFrame:
+) -> Features:
     """Read a vector file with polygons, in the order of the file, or take those of a table, and add the columns
     ``building_id`` (text), ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
 
@@ -54,39 +59,38 @@ def read_footprints(
     Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS, or one in degrees without
     ``metric``, or if ``id_field`` or ``height_field`` is missing.
     """
-    if isinstance(path, gpd.GeoDataFrame):
-        frame, path = path.reset_index(drop=True), "footprints"
+    if isinstance(path, str | Path):
+        features, number = read_vector(path, bounds)
     else:
-        frame = read_vector(path, bounds)
-    types = shapely.get_type_id(frame.geometry.to_numpy())
-    if len(frame) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
+        features, number, path = Features.of(path), np.arange(len(path)), "footprints"
+    types = shapely.get_type_id(features.geometry)
+    if len(features) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
         raise InputError(f"{path}: has no polygons; footprints must be polygons")
-    if frame.crs is None and needs_crs:
+    crs = features.crs
+    if crs is None and needs_crs:
         raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")
-    if metric is None and frame.crs is not None and frame.crs.is_geographic:
-        raise InputError(
-            f"{path}: is in {frame.crs.name}, in degrees; reproject it to a projected CRS in metres"
-        )
-    table = pd.DataFrame(frame.drop(columns=frame.geometry.name))
-    columns = schema_of(list(table.columns), schema)
-    of_ids = table
+    if metric is None and crs is not None and crs.is_geographic:
+        raise InputError(f"{path}: is in {crs.name}, in degrees; reproject it to a projected CRS in metres")
+    columns = schema_of(features.columns, schema)
+    of_ids: tuple[Mapping[str, np.ndarray], np.ndarray] = features.columns, number
     if bounds is not None:
-        names = [name for name in table.columns if name == id_field or str(name).lower() in columns.ids]
-        of_ids = read_attributes(path, tuple(names)) if names else table
-    ids = building_ids(of_ids, columns, id_field, path)
-    taken = taken_part_numbers(ids)
-    ids = ids.reindex(table.index)
-    heights_m = stated_heights_m(table, columns, height_field, path)
-    frame["building_id"] = ids
-    frame[_TAKEN] = pd.Series([tuple(taken.get(name, ())) for name in ids], index=ids.index, dtype=object)
-    frame["stated_height_m"] = heights_m
-    if metric is not None:
-        frame = frame if frame.crs is not None else frame.set_crs(horizontal(metric.source))
-        frame = reprojected(frame, metric.crs, path)
-    return frame.reset_index(drop=True)
+        names = [name for name in features.columns if name == id_field or name.lower() in columns.ids]
+        of_ids = read_attributes(path, tuple(names)) if names else of_ids
+    all_ids = building_ids(*of_ids, columns, id_field, path)
+    taken, by_number = taken_part_numbers(all_ids), dict(zip(of_ids[1].tolist(), all_ids, strict=True))
+    ids = [by_number[each] for each in number.tolist()]
+    features = features.having(
+        building_id=np.array(ids, object),
+        stated_height_m=stated_heights_m(features, columns, height_field, path),
+        **{_TAKEN: np.array([taken.get(name, set()) for name in ids], object)},
+    )
+    if metric is None:
+        return features
+    shapes = reprojected(features.geometry, crs or metric.source, metric.crs, path)
+    return replace(features, geometry=shapes, crs=horizontal(metric.crs))
 
 
-def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.GeoDataFrame:
+def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> Features:
     """The features that intersect a window, and all others of their blocks
     (:func:`p2wss.footprints.coverage.block_numbers`), on which their cleaning depends: what
     :func:`clean_footprints` makes of a footprint is then the same for any window.
@@ -96,22 +100,22 @@ def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.Ge
     # a window in which no block of the features continues beyond the border
     reach, window = grown(bounds, snap_m), grown(bounds, snap_m)
     while True:
-        frame = read_footprints(path, bounds=window)
-        shapes, _ = repaired(frame.geometry.to_numpy())
+        features = read_footprints(path, bounds=window)
+        shapes, _ = repaired(features.geometry)
         block = block_numbers(shapes, snap_m)
         # one that cannot be repaired is empty now, but was read: it keeps a row, with its reason
         touches = shapely.intersects(shapes, shapely.box(*bounds)) | shapely.is_empty(shapes)
         is_member = np.isin(block, block[touches])
         if not is_member.any():
-            return frame[is_member]
+            return features.take(is_member)
         low_x, low_y, high_x, high_y = grown(shapely.total_bounds(shapes[is_member]).tolist(), snap_m)
         reach = (min(reach[0], low_x), min(reach[1], low_y), max(reach[2], high_x), max(reach[3], high_y))
         if reach == window:
-            return frame[is_member].reset_index(drop=True)
+            return features.take(is_member)
         window = reach
 
 
-def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float = 0.2) -> gpd.GeoDataFrame:
+def split_parts(features: Features, min_area_m2: float, tolerance_m: float = 0.2) -> Features:
     """Split multipolygons into rows with one valid 2D polygon each, and add ``status`` and the centre of each.
 
     ``centre_x_m`` and ``centre_y_m`` are of the bounding box of the polygon (if there is none, of the geometry).
@@ -122,7 +126,7 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float 
     window that was read (:func:`read_footprints`), so that no part has the name of another part or feature in whatever
     tile. A geometry without polygons keeps its row, with an empty polygon and the reason as ``status``.
     """
-    shapes = frame.geometry.to_numpy()
+    shapes = features.geometry
     is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
     centre = _box_centres(shapes)
     shapes, status = repaired(shapes, tolerance_m)
@@ -135,28 +139,23 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float 
     is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
     parts, row = parts[is_polygon], row[is_polygon]
     area = shapely.area(parts)
-    largest = np.zeros(len(frame))
+    largest = np.zeros(len(features))
     np.maximum.at(largest, row, area)
     keep = (area >= min_area_m2) | (area >= largest[row])
     parts, row = parts[keep], row[keep]
     # insert the rows without a polygon in their order
-    empty_rows = np.setdiff1d(np.arange(len(frame)), row)
+    empty_rows = np.setdiff1d(np.arange(len(features)), row)
     status[empty_rows[status[empty_rows] == "ok"]] = reasons.EMPTY
     row = np.concatenate([row, empty_rows])
     order = np.argsort(row, kind="stable")
     row = row[order]
     parts = np.concatenate([parts, np.full(len(empty_rows), shapely.Polygon())])[order]
-    result = frame.iloc[row].reset_index(drop=True)
-    result = result.set_geometry(gpd.GeoSeries(parts, crs=frame.crs))
-    is_split = np.bincount(row, minlength=len(frame))[row] > 1
-    ids = result["building_id"].to_numpy(dtype=object)
-    if _TAKEN in frame:
-        taken = dict(zip(frame["building_id"], frame[_TAKEN], strict=True))
-    else:
-        taken = {
-            name: tuple(numbers)
-            for name, numbers in taken_part_numbers(frame["building_id"].astype(str)).items()
-        }
+    is_split = np.bincount(row, minlength=len(features))[row] > 1
+    names = features["building_id"].tolist()
+    taken = taken_part_numbers(names)
+    if _TAKEN in features.columns:
+        taken = dict(zip(names, features[_TAKEN], strict=True))
+    ids = features["building_id"][row]
     suffix = dict.fromkeys(row[is_split], 0)
     for index in np.flatnonzero(is_split):
         name, feature = ids[index], row[index]
@@ -164,14 +163,11 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float 
         while suffix[feature] in taken.get(name, ()):
             suffix[feature] += 1
         ids[index] = f"{name}-{suffix[feature]}"
-    result = result.drop(columns=_TAKEN, errors="ignore")
-    result["building_id"] = ids
-    result["status"] = status[row]
-    part_centre = _box_centres(result.geometry.to_numpy())
-    result["centre_x_m"], result["centre_y_m"] = np.where(
-        np.isfinite(part_centre), part_centre, centre[row]
-    ).T
-    return result
+    part_centre = _box_centres(parts)
+    centre_x_m, centre_y_m = np.where(np.isfinite(part_centre), part_centre, centre[row]).T
+    columns = {name: values[row] for name, values in features.columns.items() if name != _TAKEN}
+    result = Features(parts, columns, features.crs)
+    return result.having(building_id=ids, status=status[row], centre_x_m=centre_x_m, centre_y_m=centre_y_m)
 
 
 def _box_centres(shapes: np.ndarray) -> np.ndarray:
@@ -180,7 +176,7 @@ def _box_centres(shapes: np.ndarray) -> np.ndarray:
     return (bounds[:, :2] + bounds[:, 2:]) / 2
 
 
-def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFrame:
+def clean_footprints(features: Features, config: Scenes) -> Features:
     """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
 
     After :func:`split_parts`, footprints that touch, overlap or are at most ``snap_m`` apart are cleaned as one
@@ -191,9 +187,8 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
 
     The result of a footprint depends on those of its block only, and not on the order of the rows.
     """
-    result = split_parts(frame, config.min_area_m2, config.simplify_m)
-    status = result["status"].to_numpy(dtype=object).copy()
-    shapes = result.geometry.to_numpy().copy()
+    result = split_parts(features, config.min_area_m2, config.simplify_m)
+    status, shapes = result["status"].copy(), result.geometry.copy()
     status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     usable = np.flatnonzero(status == reasons.OK)
     shapes[usable] = [_without_small_courtyards(shape, config.min_area_m2) for shape in shapes[usable]]
@@ -205,8 +200,7 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
     status[(status == reasons.OK) & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
     shapes[status != reasons.OK] = shapely.Polygon()
-    result["status"] = status
-    return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
+    return replace(result.having(status=status), geometry=shapes)
 
 
 def _clean_alone(shape: shapely.Polygon, config: Scenes) -> tuple[shapely.Polygon, str]:

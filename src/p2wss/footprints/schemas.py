@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from p2wss.data.features import Features
 from p2wss.footprints.vector_files import is_missing
 from p2wss.storage.errors import InputError
 
@@ -18,6 +20,8 @@ log = logging.getLogger(__name__)
 METRES_PER_FLOOR = 3.0
 _MAX_HEIGHT_M = 1000.0
 _FOOT_M = 0.3048
+_LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)\s*(m|ft|'|)")
+_PART = re.compile(r"(.*)-([1-9][0-9]{0,8})", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -79,14 +83,14 @@ GENERIC = FootprintSchema(
 )
 
 
-def schema_of(columns: Sequence[str], name: str = "auto") -> FootprintSchema:
+def schema_of(columns: Collection[str], name: str = "auto") -> FootprintSchema:
     """The schema of this name, or for "auto" the one recognised from the columns, :data:`GENERIC` if none."""
     if name != "auto":
         return SCHEMAS[name]
     return SCHEMAS.get(detected(columns) or "", GENERIC)
 
 
-def detected(columns: Sequence[str]) -> str | None:
+def detected(columns: Collection[str]) -> str | None:
     """Name of the first schema that a file with these columns has; None if none.
 
     >>> detected(["id", "sources", "height"]), detected(["identificatie"]), detected(["name"])
@@ -103,9 +107,13 @@ def detected(columns: Sequence[str]) -> str | None:
 
 
 def building_ids(
-    table: pd.DataFrame, schema: FootprintSchema, id_field: str | None, path: str | Path
-) -> pd.Series:
-    """A unique id per row, as text; the index of ``table`` has the number of each feature in its file.
+    columns: Mapping[str, np.ndarray],
+    number: np.ndarray,
+    schema: FootprintSchema,
+    id_field: str | None,
+    path: str | Path,
+) -> list[str]:
+    """A unique id per feature. number: of each in its file.
 
     Ids are those of the column ``id_field``, else of the first column of the schema without missing or repeated values,
     else of its first with any. A missing id becomes the number of the feature. A repeated one gets a suffix _2, _3, ..
@@ -114,18 +122,16 @@ def building_ids(
 
     Raises :class:`InputError` if there is no column ``id_field``.
     """
-    by_name = {str(column).lower(): column for column in table.columns}
+    by_name = {column.lower(): column for column in columns}
     if id_field is not None:
-        if id_field not in table.columns:
-            columns = ", ".join(map(str, table.columns))
-            raise InputError(f"{path}: has no column {id_field}; its columns are {columns or 'none'}")
+        _column(columns, id_field, path)
         candidates = [id_field]
     else:
         candidates = [by_name[name] for name in schema.ids if name in by_name]
         candidates = [
-            column for column in candidates if not is_missing(table[column]).all() or not len(table)
+            column for column in candidates if not is_missing(columns[column]).all() or not len(number)
         ]
-    problems = {column: _problem(table[column]) for column in candidates}
+    problems = {column: _problem(columns[column]) for column in candidates}
     column = next((column for column, problem in problems.items() if problem is None), None)
     if column is None and candidates:
         column = candidates[0]
@@ -144,80 +150,88 @@ def building_ids(
             problems[candidates[0]],
             column,
         )
-    number = pd.Series(table.index.astype(str), index=table.index, dtype=str)
+    numbers = list(map(str, number.tolist()))
     if column is None:
-        return number
-    is_known = ~is_missing(table[column])
-    return _unique(_as_text(table[column]).where(is_known, number), is_known)
+        return numbers
+    is_known = ~is_missing(columns[column])
+    names = np.where(is_known, np.array(_as_text(columns[column]), object), numbers)
+    return _unique(names.tolist(), is_known)
 
 
-def _as_text(values: pd.Series) -> pd.Series:
+def _as_text(values: np.ndarray) -> list[str]:
     # whole numbers beside missing ones are read as floats
-    if pd.api.types.is_float_dtype(values) and (values.dropna() % 1 == 0).all():
-        return values.map(lambda value: "" if pd.isna(value) else str(int(value)))
-    return values.astype(str)
+    if values.dtype.kind == "f" and (values[~np.isnan(values)] % 1 == 0).all():
+        return [str(int(np.nan_to_num(value))) for value in values]
+    return list(map(str, values.tolist()))
 
 
-def _unique(names: pd.Series, is_known: np.ndarray) -> pd.Series:
+def _unique(names: list[str], is_known: np.ndarray) -> list[str]:
     """The names, repeated ones with a suffix that leads to no other name; first those that are known."""
-    result = names.to_numpy(dtype=object).copy()
-    repeated = np.zeros(len(names), bool)
-    repeated[is_known] = names[is_known].duplicated()
-    repeated[~is_known] = names[~is_known].isin(names[is_known])
-    used, count = set(result[~repeated]), dict.fromkeys(result[repeated], 1)
-    used |= set(names)
-    for i in np.flatnonzero(repeated):
-        name = result[i]
+    result, used, count = list(names), set(names), dict.fromkeys(names, 1)
+    known = {names[i] for i in np.flatnonzero(is_known)}
+    is_repeated = np.array([name in known for name in names], bool)
+    is_repeated[is_known] = _is_repeated([names[i] for i in np.flatnonzero(is_known)])
+    for i in np.flatnonzero(is_repeated):
         while result[i] in used:
-            count[name] += 1
-            result[i] = f"{name}_{count[name]}"
+            count[names[i]] += 1
+            result[i] = f"{names[i]}_{count[names[i]]}"
         used.add(result[i])
-    return pd.Series(result, index=names.index, dtype=str)
+    return result
 
 
-def taken_part_numbers(names: pd.Series) -> dict[str, set[int]]:
+def _is_repeated(values: Sequence[Any]) -> np.ndarray:
+    """Whether the same value comes before, bool (n,)."""
+    first = {value: i for i, value in reversed(list(enumerate(values)))}
+    return np.array([first[value] < i for i, value in enumerate(values)], bool)
+
+
+def taken_part_numbers(names: Sequence[str]) -> dict[str, set[int]]:
     """For each name N, the numbers k for which another name is ``N-k``: parts of N cannot have them.
 
-    >>> taken_part_numbers(pd.Series(["A", "A-1", "A-1-7", "B-2"]))
+    >>> taken_part_numbers(["A", "A-1", "A-1-7", "B-2"])
     {'A': {1}, 'A-1': {7}}
     """
     result: dict[str, set[int]] = {}
     known = set(names)
-    for name in names[names.str.contains(r"-[1-9][0-9]{0,8}$")]:
-        whole, _, number = name.rpartition("-")
-        if whole in known:
-            result.setdefault(whole, set()).add(int(number))
+    for found in filter(None, map(_PART.fullmatch, names)):
+        if found[1] in known:
+            result.setdefault(found[1], set()).add(int(found[2]))
     return result
 
 
-def _problem(values: pd.Series) -> str | None:
+def _problem(values: np.ndarray) -> str | None:
     """Why a column cannot be the id of features as it is, or None."""
     missing = is_missing(values)
     known = values[~missing]
     problems = []
     if missing.any():
         problems.append(f"{missing.sum()} of {len(values)} values are missing")
-    if known.duplicated().any():
-        again = known[known.duplicated()]
+    again = known[_is_repeated(known.tolist())]
+    if len(again):
         problems.append(
-            f"{again.iloc[0]} occurs more than once" + f" (as do {len(again) - 1} more)" * (len(again) > 1)
+            f"{again[0]} occurs more than once" + f" (as do {len(again) - 1} more)" * (len(again) > 1)
         )
     return ", ".join(problems) or None
 
 
+def _column(columns: Mapping[str, np.ndarray], name: str, path: str | Path) -> np.ndarray:
+    if name not in columns:
+        raise InputError(f"{path}: has no column {name}; its columns are {', '.join(columns) or 'none'}")
+    return columns[name]
+
+
 def stated_heights_m(
-    table: pd.DataFrame, schema: FootprintSchema, height_field: str | None, path: str | Path
+    features: Features, schema: FootprintSchema, height_field: str | None, path: str | Path
 ) -> np.ndarray:
     """The height that each footprint states, above its ground, float64 (n,); NaN if unknown.
 
     From the column ``height_field`` or, in this order, the schema's heights, differences and floors of 3 m; text such
     as "12.5 m" or "40 ft" too. Raises :class:`InputError` if there is no column ``height_field``.
     """
-    if height_field is not None and height_field not in table.columns:
-        columns = ", ".join(map(str, table.columns))
-        raise InputError(f"{path}: has no column {height_field}; its columns are {columns or 'none'}")
-    by_name = {str(column).lower(): table[column] for column in table.columns}
-    candidates = [] if height_field is None else [_metres(table[height_field])]
+    by_name = {name.lower(): values for name, values in features.columns.items()}
+    candidates = []
+    if height_field is not None:
+        candidates.append(_metres(_column(features.columns, height_field, path)))
     candidates += [_metres(by_name[name]) for name in schema.heights_m if name in by_name]
     candidates += [
         _metres(by_name[roof]) - _metres(by_name[ground])
@@ -225,17 +239,21 @@ def stated_heights_m(
         if roof in by_name and ground in by_name
     ]
     candidates += [METRES_PER_FLOOR * _metres(by_name[name]) for name in schema.floors if name in by_name]
-    result = np.full(len(table), np.nan)
+    result = np.full(len(features), np.nan)
     for height_m in candidates:
         is_plausible = np.isnan(result) & (height_m > 0) & (height_m <= _MAX_HEIGHT_M)
         result[is_plausible] = height_m[is_plausible]
     return result
 
 
-def _metres(values: pd.Series) -> np.ndarray:
+def _metres(values: np.ndarray) -> np.ndarray:
     """Numbers, or text with a number in metres (m or nothing) or feet (ft or ')."""
-    if pd.api.types.is_numeric_dtype(values):
-        return values.to_numpy(dtype=np.float64, na_value=np.nan)
-    parts = values.astype(str).str.strip().str.replace(",", ".").str.extract(r"^([\d.]+)\s*(m|ft|'|)$")
-    number = pd.to_numeric(parts[0], errors="coerce").to_numpy(dtype=np.float64)
-    return np.where(parts[1].isin(["ft", "'"]), _FOOT_M, 1.0) * number
+    if values.dtype.kind in "biuf":
+        return values.astype(np.float64)
+    found = [_LENGTH.fullmatch(str(each).strip().replace(",", ".")) for each in values.tolist()]
+    return np.array(
+        [
+            np.nan if each is None else float(each[1]) * (_FOOT_M if each[2] in ("ft", "'") else 1.0)
+            for each in found
+        ]
+    )

@@ -9,13 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import pyogrio
 import pyproj
 import shapely
 
+from p2wss.data.features import Features, columns_of
 from p2wss.data.tiling import Bounds
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
@@ -27,11 +26,11 @@ _KIND = "a readable vector file"
 _POINT, _LINE, _POLYGON = 1, 2, 3
 
 
-def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFrame:
-    """The features of the first layer, in the order of the file; the index has the number of each in the file.
+def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Features, np.ndarray]:
+    """(the features of the first layer, in the order of the file, the number of each in the file).
 
     bounds: only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of
-    a TIN, the faces of a polyhedral surface a multipolygon.
+    a TIN, the faces of a polyhedral surface a multipolygon. Times are text.
 
     Raises :class:`InputError` if the file is missing or broken, or has no geometry.
     """
@@ -40,20 +39,27 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
     integrity.verify(path)
     with reading(path, _KIND):
         if str(path).endswith(".parquet"):
+            import geopandas as gpd
             import pyarrow.parquet as pq
 
             pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance
-            frame = gpd.read_parquet(path).reset_index(drop=True)
+            features = Features.of(gpd.read_parquet(path))
+            number = np.arange(len(features))
             if bounds is not None:
-                frame = frame[frame.intersects(shapely.box(*bounds))]
-            return frame
-        try:
-            frame = pyogrio.read_dataframe(path, bbox=bounds, fid_as_index=True)
-        except shapely.errors.GEOSException:
-            frame = _read_surfaces(path, bounds)
-    if not isinstance(frame, gpd.GeoDataFrame):
+                number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
+            return features.take(number), number
+        meta, number, wkb, values = pyogrio.raw.read(
+            path, bbox=bounds, return_fids=True, datetime_as_string=True
+        )
+    if wkb is None:
         raise InputError(f"{path}: has no geometry")
-    return frame
+    with reading(path, _KIND):
+        try:
+            shapes = shapely.from_wkb(wkb)
+        except shapely.errors.GEOSException:
+            shapes = shapely.from_wkb([each and _plain_wkb(each) for each in wkb], "ignore")
+        crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
+        return Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs), number
 
 
 def layer_info(path: Path) -> dict[str, Any]:
@@ -85,24 +91,24 @@ def _geoparquet_info(path: Path) -> dict[str, Any]:
     }
 
 
-def read_attributes(path: str | Path, columns: tuple[str, ...]) -> pd.DataFrame:
-    """These columns of all features, without geometry; the index is that of :func:`read_vector`."""
+def read_attributes(path: str | Path, columns: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """(these columns of all features, the number of each in the file)."""
     return _attributes(str(path), Path(path).stat().st_mtime_ns, columns)
 
 
 @lru_cache(maxsize=2)
-def _attributes(path: str, changed_ns: int, columns: tuple[str, ...]) -> pd.DataFrame:
+def _attributes(
+    path: str, changed_ns: int, columns: tuple[str, ...]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
     if path.endswith(".parquet"):
-        return pd.read_parquet(path, columns=list(columns)).reset_index(drop=True)
-    return pyogrio.read_dataframe(path, columns=list(columns), read_geometry=False, fid_as_index=True)
+        import pandas as pd
 
-
-def _read_surfaces(path: str | Path, bounds: Bounds | None) -> gpd.GeoDataFrame:
-    meta, number, wkb, values = pyogrio.raw.read(path, bbox=bounds, return_fids=True)
-    geometry = [None if shape is None else shapely.from_wkb(_plain_wkb(shape), "ignore") for shape in wkb]
-    columns = dict(zip(meta["fields"], values, strict=True))
-    crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
-    return gpd.GeoDataFrame(columns, geometry=geometry, crs=crs, index=pd.Index(number, name="fid"))
+        frame = pd.read_parquet(path, columns=list(columns))
+        return columns_of(frame), np.arange(len(frame))
+    meta, number, _, values = pyogrio.raw.read(
+        path, columns=list(columns), read_geometry=False, return_fids=True, datetime_as_string=True
+    )
+    return dict(zip(meta["fields"].tolist(), values, strict=True)), number
 
 
 def _plain_wkb(wkb: bytes) -> bytes:
@@ -138,6 +144,12 @@ def _convert(wkb: bytearray, start: int) -> int:
     return at
 
 
-def is_missing(values: pd.Series) -> np.ndarray:
-    """Whether each value is missing or empty text."""
-    return np.asarray(values.isna() | (values.astype(str).str.strip() == ""))
+def is_missing(values: np.ndarray) -> np.ndarray:
+    """Whether each value is None, NaN or empty text, bool (n,)."""
+    return np.array(
+        [
+            each is None or not str(each).strip() or (isinstance(each, float) and each != each)
+            for each in values.tolist()
+        ],
+        bool,
+    )

@@ -10,8 +10,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
+import numpy as np
+import pyogrio
+import shapely
 
+from p2wss.data.features import Features
 from p2wss.storage import files
 
 # as QGIS makes it
@@ -26,14 +29,14 @@ CREATE TABLE layer_styles (
 
 def write(
     path: Path,
-    frame: gpd.GeoDataFrame,
+    features: Features,
     facts: dict[str, Any],
     layer: str = "buildings",
-    more: Mapping[str, gpd.GeoDataFrame] | None = None,
+    more: Mapping[str, Features] | None = None,
     style: str = "",
 ) -> None:
-    """Write a layer, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``, and after it those
-    of ``more`` by their names. style: QML, with which QGIS opens the first layer.
+    """Write a layer of polygons, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``, and after
+    it those of ``more`` by their names. style: QML, with which QGIS opens the first layer.
 
     Raises :class:`InputError` that names ``path`` if it cannot be written.
     """
@@ -41,19 +44,30 @@ def write(
         # GDAL creates the file itself, and refuses an empty one
         temporary.unlink()
         try:
-            frame.to_file(
-                temporary,
-                driver="GPKG",
-                layer=layer,
-                engine="pyogrio",
-                dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)},
+            _add_layer(
+                temporary, layer, features, dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)}
             )
             for name, rows in (more or {}).items():
-                rows.to_file(temporary, driver="GPKG", layer=name, engine="pyogrio", mode="a")
+                _add_layer(temporary, name, rows, append=True)
             if style:
                 _add_style(temporary, layer, style)
         except (RuntimeError, sqlite3.Error) as error:  # of a full disk, for instance, and no OSErrors
             raise OSError(str(error)) from error
+
+
+def _add_layer(path: Path, name: str, features: Features, **options: Any) -> None:
+    code = features.crs and features.crs.to_epsg()
+    pyogrio.raw.write(
+        path,
+        shapely.to_wkb(features.geometry),
+        list(features.columns.values()),
+        list(features.columns),
+        layer=name,
+        driver="GPKG",
+        geometry_type="Polygon" if np.any(features.geometry) else "Unknown",
+        crs=f"EPSG:{code}" if code else features.crs and features.crs.to_wkt("WKT1_GDAL"),
+        **options,
+    )
 
 
 def _add_style(path: Path, layer: str, style: str) -> None:

@@ -6,17 +6,19 @@ both, so that a building is the same in any batch, in any tile, and alone.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import geopandas as gpd
 import numpy as np
 import shapely
 
 from p2wss.clouds.crops import GROUND_RINGS_M
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
+from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -40,13 +42,13 @@ MAX_FOOTPRINTS = 2_000
 class Area:
     """Footprints to reconstruct, and those around on which they depend.
 
-    frame: all footprints, as :func:`p2wss.footprints.cleaning.clean_footprints` returns them. is_chosen: bool
+    features: all footprints, as :func:`p2wss.footprints.cleaning.clean_footprints` returns them. is_chosen: bool
     (footprints,), those whose results are requested. is_built: these and those that may share walls with them.
     """
 
-    def __init__(self, frame: gpd.GeoDataFrame, is_chosen: np.ndarray, config: Reconstruct) -> None:
-        self.frame, self.is_chosen = frame, is_chosen
-        shapes = frame.geometry.to_numpy()
+    def __init__(self, features: Features, is_chosen: np.ndarray, config: Reconstruct) -> None:
+        self.features, self.is_chosen = features, is_chosen
+        shapes = features.geometry
         self._box = shapely.bounds(shapes)
         self._surroundings = None if config.registration == "never" else Surroundings(shapes)
         self.is_built = is_chosen | self._beside(is_chosen)
@@ -81,32 +83,32 @@ class Area:
 
     def read(
         self, rows: np.ndarray, points: CloudIndex, registers: np.ndarray
-    ) -> tuple[gpd.GeoDataFrame, list[Registration | None], Cloud]:
+    ) -> tuple[Features, list[Registration | None], Cloud]:
         """The footprints ``rows``, where the cloud shows them, what moved each, and the points around them.
 
         registers: of all footprints, those that may be moved, bool (footprints,).
         """
-        is_row = np.zeros(len(self.frame), bool)
+        is_row = np.zeros(len(self.features), bool)
         is_row[rows] = True
         is_around = self._around(is_row)
         cloud = points.near(self._boxes(is_row, is_around))
-        around = self.frame[is_around]
+        around = self.features.take(is_around)
         may_move = registers[is_around]
         done: dict[int, Registration] = {}
         if may_move.any() and self._surroundings is not None:
-            registered, registrations = register(around[may_move], cloud)
+            registered, registrations = register(around.take(may_move), cloud)
             done = dict(zip(np.flatnonzero(may_move).tolist(), registrations, strict=True))
-            geometry = around.geometry.to_numpy().copy()
-            geometry[may_move] = registered.geometry.to_numpy()
-            around = around.set_geometry(gpd.GeoSeries(geometry, index=around.index, crs=around.crs))
+            geometry = around.geometry.copy()
+            geometry[may_move] = registered.geometry
+            around = replace(around, geometry=geometry)
         chosen = np.flatnonzero(is_row[is_around])
-        return around.iloc[chosen].reset_index(drop=True), [done.get(k) for k in chosen.tolist()], cloud
+        return around.take(chosen), [done.get(k) for k in chosen.tolist()], cloud
 
     def may_move(self, points: CloudIndex) -> np.ndarray:
         """The footprints of blocks around which the producer has points of class building, bool (footprints,): what
         :mod:`p2wss.reconstruct.unclassified` takes for buildings moves no footprint."""
         if self._surroundings is None:
-            return np.zeros(len(self.frame), bool)
+            return np.zeros(len(self.features), bool)
         return self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))
 
     def missing_classes(self, points: CloudIndex) -> tuple[int, int, int]:
@@ -121,7 +123,7 @@ class Area:
         return num_missing[0], num_missing[1], int(has_points.sum())
 
     def _centre_m(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.frame["centre_x_m"].to_numpy(float), self.frame["centre_y_m"].to_numpy(float)
+        return self.features["centre_x_m"], self.features["centre_y_m"]
 
     def _around(self, is_row: np.ndarray) -> np.ndarray:
         return is_row if self._surroundings is None else self._surroundings.around(is_row)
@@ -156,14 +158,14 @@ def run_area(
 
     points: those in ``area.boxes``. registers: see :meth:`Area.read`. progress: called with the number of results.
     """
-    position = np.empty(len(area.frame), np.int64)
+    position = np.empty(len(area.features), np.int64)
     position[area.numbers] = np.arange(len(area.numbers))
     num_done = 0
     for batch in area.batches(points):
-        frame, registrations, cloud = area.read(batch, points, registers)
+        features, registrations, cloud = area.read(batch, points, registers)
         log.debug("batch of %d buildings: %d points around them", len(batch), len(cloud.x_m))
         report = partial(_report, progress, num_done)
-        rows.reconstruct(position[batch], frame, cloud, report, registrations)
+        rows.reconstruct(position[batch], features, cloud, report, registrations)
         num_done += len(batch)
     rows.finish(int(area.is_chosen.sum()))
 
@@ -182,28 +184,28 @@ def footprint_settings(config: Config) -> Scenes:
     return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
 
 
-def window(frame: gpd.GeoDataFrame) -> Bounds:
+def window(features: Features) -> Bounds:
     """The bounds that a cloud must cover: the footprints and the ground around them."""
-    if not len(frame):
+    if not len(features):
         return 0.0, 0.0, 0.0, 0.0
-    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
+    x_min, y_min, x_max, y_max = shapely.total_bounds(features.geometry).tolist()
     margin_m = GROUND_RINGS_M[-1]
     return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
 
-def in_tile(frame: gpd.GeoDataFrame, tile: str | None, tile_size_m: float) -> np.ndarray:
+def in_tile(features: Features, tile: str | None, tile_size_m: float) -> np.ndarray:
     """Whether the centre of each footprint is in the tile, bool (footprints,); all are without a tile."""
     if tile is None:
-        return np.ones(len(frame), bool)
-    result = np.zeros(len(frame), bool)
-    is_known = np.isfinite(frame["centre_x_m"]).to_numpy()
-    centre = frame.loc[is_known, ["centre_x_m", "centre_y_m"]].to_numpy()
-    result[is_known] = tiles_of_points(centre[:, 0], centre[:, 1], tile_size_m) == tile
+        return np.ones(len(features), bool)
+    result = np.zeros(len(features), bool)
+    x_m, y_m = features["centre_x_m"], features["centre_y_m"]
+    is_known = np.isfinite(x_m)
+    result[is_known] = tiles_of_points(x_m[is_known], y_m[is_known], tile_size_m) == tile
     return result
 
 
 def chosen(
-    frame: gpd.GeoDataFrame, ids: Sequence[str] | None, bbox: Bounds | None, name: str | Path
+    features: Features, ids: Sequence[str] | None, bbox: Bounds | None, name: str | Path
 ) -> np.ndarray:
     """The footprints with one of these ids and the centre in ``bbox``, bool (footprints,). A part of a split footprint
     is chosen by the id of the footprint, too.
@@ -211,16 +213,15 @@ def chosen(
     bbox: (x_min, y_min, x_max, y_max) in the CRS of the run. Raises :class:`InputError` if there are none, or if an
     id is missing.
     """
-    result = np.ones(len(frame), bool)
+    result = np.ones(len(features), bool)
     if ids is not None:
-        known = frame["building_id"].astype(str)
-        whole = known.str.replace(r"-\d+$", "", regex=True)
-        missing = [each for each in map(str, ids) if not ((known == each) | (whole == each)).any()]
-        if missing:
+        named = [{each, re.sub(r"-\d+$", "", each)} for each in features["building_id"].tolist()]
+        wanted, known = set(map(str, ids)), set().union(*named)
+        if missing := [each for each in map(str, ids) if each not in known]:
             raise InputError(f"{name}: has no building {missing[0]}")
-        result &= (known.isin(list(map(str, ids))) | whole.isin(list(map(str, ids)))).to_numpy()
+        result &= [bool(each & wanted) for each in named]
     if bbox is not None:
-        x_m, y_m = frame["centre_x_m"].to_numpy(float), frame["centre_y_m"].to_numpy(float)
+        x_m, y_m = features["centre_x_m"], features["centre_y_m"]
         result &= (x_m >= bbox[0]) & (x_m <= bbox[2]) & (y_m >= bbox[1]) & (y_m <= bbox[3])
         if not result.any():
             numbers = ", ".join(f"{value:g}" for value in bbox)

@@ -9,14 +9,13 @@ from collections.abc import Mapping, Sequence
 from datetime import date, datetime
 from typing import Any
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import pyproj
 import shapely
 
 from p2wss.data import reasons
 from p2wss.data.crs import horizontal
+from p2wss.data.features import Features
 from p2wss.reconstruct import measures
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result
@@ -186,7 +185,7 @@ def table(
     crs: pyproj.CRS,
     facts: Mapping[str, Any] | None = None,
     names: str = P2WSS,
-) -> gpd.GeoDataFrame:
+) -> Features:
     """A row per footprint: the cleaned geometry (none if it was rejected) and the :func:`attributes`.
 
     ``angle_deg`` is text with one number per edge; edge i begins at vertex i of the geometry, rings in order.
@@ -198,14 +197,23 @@ def table(
         rows.append({"building_id": reconstruction.building_id, **attributes(result, facts, names)})
         rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
         shapes.append(shapely.Polygon(rings[0], rings[1:]) if rings else None)
-    return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
+    columns = {name: _column([row.get(name) for row in rows]) for row in rows[:1] for name in row}
+    return Features(np.array(shapes, object), columns, horizontal(crs))
 
 
-def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame | None:
+def _column(values: list[Any]) -> np.ndarray:
+    """Numbers with NaN, or objects with None, for what is not known."""
+    kinds = {type(value) for value in values}
+    if kinds - {type(None)} in ({int}, {float}, {int, float}):
+        values, kinds = [np.nan if value is None else value for value in values], {float}
+    return np.array(values, None if len(kinds) == 1 and kinds <= {int, float, bool} else object)
+
+
+def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> Features | None:
     """A row per footprint with its cleaned polygon before the registration; None without a registration."""
     rows = [(result.reconstruction.building_id, result.registration) for result in results]
     if not any(registration for _, registration in rows):
         return None
     names = [name for name, _ in rows]
     shapes = [None if row is None or row.input_polygon.is_empty else row.input_polygon for _, row in rows]
-    return gpd.GeoDataFrame({"building_id": names}, geometry=shapes, crs=horizontal(crs))
+    return Features(np.array(shapes, object), {"building_id": np.array(names, object)}, horizontal(crs))

@@ -14,7 +14,6 @@ from p2wss.reconstruct.skin.on_terrain import cut
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.schemas.wedges import WEDGES
 
 log = logging.getLogger("p2wss")
 
@@ -75,6 +74,8 @@ def counts(skin_list: Sequence[Skin]) -> dict[str, int]:
 
 def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
     """The columns of :data:`p2wss.storage.schemas.wedges.WEDGES`, a row per wedge of the skins."""
+    from p2wss.storage.schemas.wedges import WEDGES
+
     kinds = np.array([SURFACE_NAMES.get(k, "") for k in range(max(SURFACE_NAMES) + 1)], dtype=object)
     parts: list[dict[str, np.ndarray]] = []
     for number, skin in enumerate(skin_list):

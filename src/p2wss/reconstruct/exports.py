@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import geopandas as gpd
 import numpy as np
 import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
+from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain
 from p2wss.formats import gpkg, qgis, sionna
 from p2wss.formats.materials import materials_of
@@ -30,7 +30,6 @@ from p2wss.reconstruct.spool import Lazy
 from p2wss.reconstruct.vegetation import Plant
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
-from p2wss.storage.schemas.wedges import WEDGES
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
@@ -86,6 +85,8 @@ def write(
             delivered.append(path)
     columns = block_skins.wedge_columns(skins) if config.wedges else None
     if columns is not None:
+        from p2wss.storage.schemas.wedges import WEDGES  # and with it pyarrow
+
         files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", columns, WEDGES, facts)
         written.append(f"{stem}{WEDGES_SUFFIX}")
         delivered.append(folder / f"{stem}{WEDGES_SUFFIX}")
@@ -142,7 +143,7 @@ def _write_results(
     output: str,
     results: Sequence[Result],
     plants: Sequence[Plant],
-    before: gpd.GeoDataFrame | None,
+    before: Features | None,
     crs: pyproj.CRS,
     facts: dict[str, Any],
     config: Reconstruct,
@@ -159,9 +160,10 @@ def _write_results(
             path, rows, facts, more={} if before is None else {"input_footprints": before}, style=qgis.STYLE
         )
         return
+    frame = rows.to_frame()
     if before is not None:
-        rows["input_geometry"] = before.geometry
-    files.write_geoparquet(path, rows, facts)
+        frame["input_geometry"] = before.to_frame().geometry
+    files.write_geoparquet(path, frame, facts)
 
 
 def write_meshes(
@@ -198,11 +200,11 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
     return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 
-def check_coverage(terrain: Terrain, name: Path, frame: gpd.GeoDataFrame) -> None:
+def check_coverage(terrain: Terrain, name: Path, features: Features) -> None:
     """Raise :class:`InputError` if the terrain has no height at any of the footprints."""
-    heights_m = terrain.interpolated(frame["centre_x_m"].to_numpy(), frame["centre_y_m"].to_numpy())
-    if len(frame) and not np.isfinite(heights_m).any():
-        raise InputError(f"{name}: has no height at any of the {len(frame)} footprints")
+    heights_m = terrain.interpolated(features["centre_x_m"], features["centre_y_m"])
+    if len(features) and not np.isfinite(heights_m).any():
+        raise InputError(f"{name}: has no height at any of the {len(features)} footprints")
 
 
 def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
@@ -221,11 +223,11 @@ def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
     return f"the terrain is {gap}: are both in the same height system?"
 
 
-def notes(config: Reconstruct, frame: gpd.GeoDataFrame, has_terrain: bool) -> list[str]:
-    """Notes on the outputs for the user, before the work. frame: cleaned footprints with the input's columns."""
+def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[str]:
+    """Notes on the outputs for the user, before the work. features: cleaned footprints with the input's columns."""
     if "sionna" not in config.outputs:
         return []
-    rows = [surface_materials(columns, config) for columns in input_columns(frame)]
+    rows = [surface_materials(columns, config) for columns in input_columns(features)]
     materials = [row["wall"] for row in rows]
     if config.split_materials:
         materials += [row["roof"] for row in rows]

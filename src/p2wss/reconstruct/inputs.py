@@ -7,9 +7,8 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-import geopandas as gpd
 import laspy
 import numpy as np
 import pyproj
@@ -18,12 +17,16 @@ from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
 from p2wss.data.crs import MetricCrs, common_crs, metric_crs
+from p2wss.data.features import Features
 from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import read_metadata, weights_to_use
 from p2wss.storage.errors import InputError
+
+if TYPE_CHECKING:
+    import geopandas as gpd
 
 log = logging.getLogger("p2wss")
 CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.LasData | Cloud"
@@ -101,8 +104,7 @@ def check_inputs(
     weights = weights_to_use(None if model is None else Path(model), config.reconstruct)
     if weights is not None:
         read_metadata(weights, "model")
-    if footprints is not None and not isinstance(footprints, gpd.GeoDataFrame):
-        footprints = Path(footprints)
+    footprints = Path(footprints) if isinstance(footprints, str) else footprints
     for path in (footprints, terrain):
         if isinstance(path, str | Path) and not Path(path).exists():
             raise InputError(f"{path}: no such file")
@@ -137,17 +139,17 @@ def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: Cl
     return points or reading.read_clouds([header.path for header in headers], None, classes)
 
 
-def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, gpd.GeoDataFrame]:
+def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     """The whole cloud, and the outlines of its buildings as footprints."""
     # compiled code, which is slow to load
     from p2wss.reconstruct import unclassified
-    from p2wss.reconstruct.outlines import outline_frame
+    from p2wss.reconstruct.outlines import outline_features
 
     cloud = read_cloud(inputs.headers, inputs.points, class_set(**config.region.classes.model_dump()))
     cloud, warnings = unclassified.with_classes(cloud.in_metres(inputs.metric))
     for warning in warnings:
         log.warning("warning: %s", warning)
-    return cloud, outline_frame(cloud, config.reconstruct.outlines, inputs.crs)
+    return cloud, outline_features(cloud, config.reconstruct.outlines, inputs.crs)
 
 
 def output_stem(cloud: Path) -> str:
@@ -198,16 +200,16 @@ def _check_footprints(
     footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool
 ) -> pyproj.CRS | None:
     """The CRS of the footprints, if it is stated. Raises :class:`InputError` if these cannot be footprints."""
-    if isinstance(footprints, gpd.GeoDataFrame):
-        name: str | Path = _FOOTPRINTS
-        info: dict[str, Any] = {
+    if isinstance(footprints, Path):
+        name, info = footprints, vector_files.layer_info(footprints)
+    else:
+        name = _FOOTPRINTS
+        info = {
             "features": len(footprints),
             "geometry_type": " ".join(footprints.geom_type.dropna().unique()) or "Unknown",
             "fields": [each for each in footprints.columns if each != footprints.geometry.name],
             "crs": footprints.crs,
         }
-    else:
-        name, info = footprints, vector_files.layer_info(footprints)
     if not info["features"] and not may_be_empty:
         raise InputError(f"{name}: has no features")
     geometry = info["geometry_type"]

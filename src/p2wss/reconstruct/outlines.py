@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import geopandas as gpd
 import numpy as np
 import pyproj
 import rasterio.features
@@ -22,6 +21,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
+from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
@@ -86,11 +86,11 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
     return shapes[np.lexsort((bounds[:, 1], bounds[:, 0]))]
 
 
-def outline_frame(cloud: Cloud, settings: Outlines, crs: pyproj.CRS) -> gpd.GeoDataFrame:
+def outline_features(cloud: Cloud, settings: Outlines, crs: pyproj.CRS) -> Features:
     """The outlines as footprints with the column ``building_id``, numbers from 1 as text."""
     shapes = outlines(cloud, settings)
-    ids = [str(number + 1) for number in range(len(shapes))]
-    return gpd.GeoDataFrame({"building_id": ids, "area_m2": shapely.area(shapes)}, geometry=shapes, crs=crs)
+    ids = np.array([str(number + 1) for number in range(len(shapes))], object)
+    return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
 
 
 def rasterised(cloud: Cloud, settings: Outlines) -> Raster:

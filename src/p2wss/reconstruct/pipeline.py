@@ -8,15 +8,14 @@ from dataclasses import replace
 from datetime import date, timedelta
 from typing import Any, Protocol
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 
 from p2wss.clouds.crops import crop_cloud, roofs_around
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, no_mesh
+from p2wss.data.features import Features
 from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import every_kth
@@ -45,7 +44,7 @@ _NUM_NEIGHBOURS = 5
 
 
 def run(
-    frame: gpd.GeoDataFrame,
+    features: Features,
     cloud: Cloud,
     predictor: Predictor | None,
     tile: str,
@@ -54,19 +53,18 @@ def run(
     terrain: Terrain | None = None,
     registrations: Sequence[Registration | None] | None = None,
 ) -> list[Result]:
-    """One result per row of ``frame``, in its order.
+    """One result per feature, in their order.
 
-    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` or :func:`p2wss.reconstruct.registration.register`
-    returns. With a network its values are fitted to the
-    points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns. With a network its values are fitted to
+    the points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
     time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
     that their footprint states; else it is that of the neighbourhood. registrations: of each row, what moved it.
     """
     results: dict[int, Any] = {}
-    rows = Rows(len(frame), results, predictor, tile, config, terrain)
-    rows.reconstruct(np.arange(len(frame)), frame, cloud, progress, registrations)
+    rows = Rows(len(features), results, predictor, tile, config, terrain)
+    rows.reconstruct(np.arange(len(features)), features, cloud, progress, registrations)
     rows.finish()
-    return [results[number] for number in range(len(frame))]
+    return [results[number] for number in range(len(features))]
 
 
 class Store(Protocol):
@@ -109,15 +107,14 @@ class Rows:
     def reconstruct(
         self,
         numbers: np.ndarray,
-        frame: gpd.GeoDataFrame,
+        features: Features,
         cloud: Cloud,
         progress: Callable[[int], object] = lambda num_done: None,
         registrations: Sequence[Registration | None] | None = None,
     ) -> None:
-        """Reconstruct the rows of a frame. numbers: of each in the results. cloud: all points within
-        64 m of them. progress: called with the number of rows of the frame that are done. registrations: of each row,
-        what moved it."""
-        polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+        """Reconstruct features. numbers: of each in the results. cloud: all points within 64 m of them. progress:
+        called with the number of these that are done. registrations: of each, what moved it."""
+        polygons = polygon_arrays.to_polygons(features.geometry)
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
         around = roofs_around(cloud, polygons, cropped)
         ground = ground_of(cloud, cropped, polygons, self._terrain)
@@ -126,14 +123,14 @@ class Rows:
         origin_xy_m = polygon_arrays.origins(polygons)
         self._origin_xy_m[numbers] = origin_xy_m
         self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
-        columns = input_columns(frame)
-        registrations = [None] * len(frame) if registrations is None else registrations
-        names, status = frame["building_id"].astype(str).to_list(), frame["status"].astype(str).to_list()
-        unknown = pd.Series(np.nan, index=frame.index)
-        stated_height_m = frame.get("stated_height_m", unknown).astype(float).to_list()
-        for first in range(0, len(frame), self._batch):
+        columns = input_columns(features)
+        registrations = [None] * len(features) if registrations is None else registrations
+        names, status = features["building_id"].tolist(), features["status"].tolist()
+        unknown = np.full(len(features), np.nan)
+        stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
+        for first in range(0, len(features), self._batch):
             batch: list[Row] = []
-            for i in range(first, min(first + self._batch, len(frame))):
+            for i in range(first, min(first + self._batch, len(features))):
                 point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
                 beside = _in_order(cloud, around.get(i, point[:0]))
                 beside = beside[every_kth(len(beside), _MAX_AROUND)]
@@ -155,7 +152,7 @@ class Rows:
                 row = Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates, source)
                 (self._pending if is_pending[i] else batch).append(row)
             self._store(batch)
-            progress(min(first + self._batch, len(frame)))
+            progress(min(first + self._batch, len(features)))
 
     def finish(self, num_counted: int | None = None) -> None:
         """Reconstruct the buildings whose ground is the median of the nearest ones with points, save triangles, and
@@ -247,16 +244,19 @@ class Rows:
         return results
 
 
-def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+def input_columns(features: Features) -> list[dict[str, Any]]:
     """The values of the input's own columns, one dictionary per row, None where there is no value.
 
-    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds and the
-    geometry are left out.
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds are left out.
     """
-    columns = frame.columns.drop([frame.geometry.name, *_ADDED_COLUMNS], errors="ignore")
-    values = pd.DataFrame(frame[columns]).astype(object)
-    rows = values.where(values.notna(), None).to_dict("records")
-    return [{str(name): value for name, value in row.items()} for row in rows]
+    columns = {
+        name: [None if each != each else each for each in values.tolist()]
+        if values.dtype.kind == "f"
+        else values.tolist()
+        for name, values in features.columns.items()
+        if name not in _ADDED_COLUMNS
+    }
+    return [{name: values[i] for name, values in columns.items()} for i in range(len(features))]
 
 
 def _log_building(result: Result, seconds: float) -> None:

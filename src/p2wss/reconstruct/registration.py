@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import geopandas as gpd
 import numpy as np
 import shapely
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
+from p2wss.data.features import Features
 from p2wss.reconstruct.footprint_flags import contradictions
 from p2wss.reconstruct.registration_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.shifts import (
@@ -101,13 +101,13 @@ class Registration:
     block: str = ""
 
 
-def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, list[Registration]]:
-    """(``frame`` with its footprints where the cloud shows the buildings, what was done to each row).
+def register(features: Features, cloud: Cloud) -> tuple[Features, list[Registration]]:
+    """(the footprints where the cloud shows the buildings, what was done to each).
 
-    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
     :meth:`Surroundings.around`.
     """
-    shapes = frame.geometry.to_numpy()
+    shapes = features.geometry
     blocks = find_blocks(shapes)
     shifts = block_shifts(blocks, cloud)
     polygons = polygon_arrays.to_polygons(shapes)
@@ -115,10 +115,9 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, l
     xy_m = moved(polygons.xy_m, of_vertex, shifts.shift_m)
     moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
     geometries = polygon_arrays.to_geometries(moved_polygons)
-    result = frame.set_geometry(gpd.GeoSeries(geometries, index=frame.index, crs=frame.crs))
     evidence = contradictions(moved_polygons, cloud)
     least_id: dict[int, str] = {}
-    for block, name in zip(blocks.of_footprint.tolist(), frame["building_id"].astype(str), strict=True):
+    for block, name in zip(blocks.of_footprint.tolist(), features["building_id"].tolist(), strict=True):
         least_id[block] = min(name, least_id.get(block, name))
     rows = []
     for k, block in enumerate(blocks.of_footprint.tolist()):
@@ -139,7 +138,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, l
                 least_id[block],
             )
         )
-    return result, rows
+    return replace(features, geometry=geometries), rows
 
 
 def summary(registrations: Iterable[Registration | None]) -> str:

@@ -15,9 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import geopandas as gpd
 import numpy as np
-import pandas as pd
 import pyproj
 import shapely
 
@@ -49,6 +47,7 @@ from p2wss.storage.provenance import fingerprint
 from p2wss.storage.temporary import Closeable
 
 if TYPE_CHECKING:
+    import geopandas as gpd
     import trimesh
 
     from p2wss.reconstruct.network import Predictor
@@ -161,12 +160,13 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         """A row per building, by its id: footprint and attributes."""
         if self._run is not None:
             names = self.config.reconstruct.attribute_names
-            rows = table(self._run.results, self._run.inputs.crs, self._run.facts, names)
-            return rows.set_index("building_id")
+            features = table(self._run.results, self._run.inputs.crs, self._run.facts, names)
+            return features.to_frame().set_index("building_id")
+        import geopandas as gpd
+
         rows = [{"building_id": each.building_id, **each.attributes} for each in self.values()]
         shapes = [each.footprint for each in self.values()]
-        frame = gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=self.crs)
-        return frame.set_index("building_id")
+        return gpd.GeoDataFrame(rows, geometry=shapes, crs=self.crs).set_index("building_id")
 
     def points(self, building_id: str) -> np.ndarray:
         """The points (n, 3) within ``reconstruct.buffer_m`` of a building's footprint, in the CRS of the scene.
@@ -297,23 +297,23 @@ def reconstruct(
             metric=inputs.metric,
         )
     log.debug("%d footprints read", len(features))
-    frame = clean_footprints(features, footprint_settings(config))
-    log.debug("%d footprints cleaned", len(frame))
-    is_chosen = in_tile(frame, tile, config.region.tile_size_m)
-    is_chosen &= chosen(frame, selection.ids, selection.bbox, inputs.footprints_name)
-    area = Area(frame, is_chosen, settings)
+    features = clean_footprints(features, footprint_settings(config))
+    log.debug("%d footprints cleaned", len(features))
+    is_chosen = in_tile(features, tile, config.region.tile_size_m)
+    is_chosen &= chosen(features, selection.ids, selection.bbox, inputs.footprints_name)
+    area = Area(features, is_chosen, settings)
     folder = machine.scratch or Path(tempfile.gettempdir())
     with ExitStack() as resources:
-        rows, boxes = frame[area.is_chosen], area.boxes
-        x_min, y_min, x_max, y_max = map(float, rows.total_bounds)
-        around = grown((x_min, y_min, x_max, y_max), settings.terrain_margin_m)
+        rows, boxes, around = features.take(area.is_chosen), area.boxes, None
         if settings.vegetation and len(rows):
+            x_min, y_min, x_max, y_max = shapely.total_bounds(rows.geometry).tolist()
+            around = grown((x_min, y_min, x_max, y_max), settings.terrain_margin_m)
             boxes = np.concatenate([boxes, [grown(around, vegetation.RULES.margin_m)]])
         points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
         store = resources.enter_context(Spool[Any](2 * len(area.numbers), folder))
         if outline_cloud is None:
-            if tile is None and not inputs.overlap(window(frame)):
-                raise InputError(_no_overlap(len(frame), inputs))
+            if tile is None and not inputs.overlap(window(features)):
+                raise InputError(_no_overlap(len(features), inputs))
             for chunk in inputs.chunks(points.bounds, class_set(**config.region.classes.model_dump())):
                 points.append(chunk)
             for warning in unclassified.warnings(*area.missing_classes(points)):
@@ -349,15 +349,15 @@ def reconstruct(
         )
         facts["clouds"] = [header.path.name for header in inputs.headers]
         plants: list[vegetation.Plant] = []
-        if settings.vegetation and len(rows):
-            plants = vegetation.plants(points, around, frame.geometry.to_numpy())
+        if around is not None:
+            plants = vegetation.plants(points, around, features.geometry)
             log.info("%d plants", len(plants))
         run = Run(inputs, results, plants, points, facts, resources.pop_all())
 
     def building(number: int) -> SceneBuilding:
         return _of_result(results[number], config)
 
-    ids = [str(each) for each in rows["building_id"]]
+    ids = rows["building_id"].tolist()
     return Scene(ids, building, inputs.crs, config, stem, run, [plant.mesh for plant in plants])
 
 

@@ -20,9 +20,8 @@ import numpy as np
 from p2wss.nets.prediction import Prediction
 
 if TYPE_CHECKING:
-    import geopandas as gpd
-
     from p2wss.clouds.reading import Cloud
+    from p2wss.data.features import Features
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"
@@ -100,12 +99,12 @@ def warm_product() -> None:
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 
-    frame, cloud = sample()
+    features, cloud = sample()
     config = Reconstruct(detail="high")
-    results = run(frame, cloud, None, "sample", config)
-    run(frame, cloud, _Network(), "sample", config.model_copy(update={"roofs": "parametric"}))
+    results = run(features, cloud, None, "sample", config)
+    run(features, cloud, _Network(), "sample", config.model_copy(update={"roofs": "parametric"}))
     # only a building of which there are few points
-    house, within = frame.geometry[1], shapely.contains_xy(frame.geometry[1], cloud.x_m, cloud.y_m)
+    house, within = features.geometry[1], shapely.contains_xy(features.geometry[1], cloud.x_m, cloud.y_m)
     ring = shapely.get_coordinates(house)[:-1]
     point_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[within]
     for few in (point_m[::60], point_m[::8]):
@@ -121,13 +120,14 @@ def warm_product() -> None:
 TASKS = (warm_footprints_and_meshes, warm_network_input)
 
 
-def sample() -> tuple[gpd.GeoDataFrame, Cloud]:
+def sample() -> tuple[Features, Cloud]:
     """(clean footprints, their points and ground at 0 m) of a house with a lower annex, a house with a dormer and a
     flat block around a courtyard."""
-    import geopandas as gpd
+    import pyproj
     import shapely
 
     from p2wss.config import Scenes
+    from p2wss.data.features import Features
     from p2wss.footprints.cleaning import clean_footprints
 
     draw = np.random.default_rng(0)
@@ -149,8 +149,9 @@ def sample() -> tuple[gpd.GeoDataFrame, Cloud]:
         z += 0.02 * draw.standard_normal(count)
         points.append(np.column_stack([x, y, np.where(inside, z, 0.0)]))
         classes.append(np.where(inside, 6, 2).astype(np.uint8))
-    frame = gpd.GeoDataFrame({"building_id": ["a", "b", "c"]}, geometry=[house, dormer, block], crs=_CRS)
-    return clean_footprints(frame, Scenes()), _cloud(np.concatenate(points), np.concatenate(classes))
+    shapes, ids = (np.array(each, object) for each in ([house, dormer, block], ["a", "b", "c"]))
+    features = Features(shapes, {"building_id": ids}, pyproj.CRS(_CRS))
+    return clean_footprints(features, Scenes()), _cloud(np.concatenate(points), np.concatenate(classes))
 
 
 def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:

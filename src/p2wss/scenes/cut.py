@@ -10,6 +10,7 @@ import shapely
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
+from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds, tiles_of_points
 from p2wss.footprints.cleaning import clean_footprints, split_parts
@@ -24,50 +25,49 @@ _PARTY_SHARE = 0.5
 NEIGHBOUR_DISTANCE_M = 20.0
 
 
-def count_buildings(frame: gpd.GeoDataFrame, tile_size_m: float, min_area_m2: float) -> dict[str, int]:
+def count_buildings(features: Features, tile_size_m: float, min_area_m2: float) -> dict[str, int]:
     """Number of footprints per tile (multipolygons split into parts), sorted by tile name.
 
     :func:`cut_scene` assigns buildings to tiles in the same way.
     """
-    parts = split_parts(frame, min_area_m2)
+    parts = split_parts(features, min_area_m2)
     counts = Counter(_tile_names(parts, tile_size_m))
     counts.pop("", None)
     return dict(sorted(counts.items()))
 
 
 def cut_scene(
-    frame: gpd.GeoDataFrame, terrain: Terrain, tile: str, tile_size_m: float, config: Scenes
+    features: Features, terrain: Terrain, tile: str, tile_size_m: float, config: Scenes
 ) -> gpd.GeoDataFrame:
     """The scene of a tile: the columns of :data:`p2wss.storage.schemas.scene.SCENE` and a geometry, sorted by id.
 
-    frame: whole blocks of footprints (:func:`p2wss.footprints.cleaning.read_whole_blocks`) of which some intersect the
-    tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
+    features: whole blocks of footprints (:func:`p2wss.footprints.cleaning.read_whole_blocks`) of which some intersect
+    the tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
     ``building_id`` and the height columns of the stage fetch. terrain: of the tile and its margin, in the same
     CRS. A building belongs to the tile that contains the centre of its bounding box before cleaning; a
     building whose centre is in the margin has ``in_tile`` False. An excluded building keeps its row, with the
     reason as ``status``, an empty geometry, no angles and NaN heights.
     """
-    result = clean_footprints(frame, config)
-    polygons = result.geometry.to_numpy()
-    status = result["status"].to_numpy(dtype=object).copy()
+    result = clean_footprints(features, config)
+    polygons, status = result.geometry, result["status"]
     is_party = party_walls(polygons)
 
     x_min, y_min, x_max, y_max = tile_bounds(tile, tile_size_m, config.margin_m)
-    x, y = result["centre_x_m"].to_numpy(), result["centre_y_m"].to_numpy()
+    x, y = result["centre_x_m"], result["centre_y_m"]
     selection = np.flatnonzero((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
-    result, polygons, status = result.iloc[selection], polygons[selection], status[selection]
+    result, polygons, status = result.take(selection), polygons[selection], status[selection]
 
     height, source = eave_heights(result, config)
     median, lowest, known_share = ground_heights(polygons, terrain)
     status[(status == "ok") & (known_share < max(config.min_terrain_share, 1e-9))] = reasons.NO_TERRAIN
     status[(status == "ok") & (height > config.max_eave_height_m)] = reasons.TOO_HIGH
-    usable = status == "ok"
-    roof_type = np.full(len(selection), "none", dtype=object)
+    usable: np.ndarray = status == "ok"
+    roof_type: np.ndarray = np.full(len(selection), "none", dtype=object)
     angle_deg = [np.zeros(0, np.float32) for _ in selection]
     polygons[~usable] = shapely.Polygon()
-    radius_m = shapely.length(shapely.maximum_inscribed_circle(np.where(usable, polygons, None)))
+    radius_m = shapely.length(shapely.maximum_inscribed_circle(np.where(usable, polygons, np.array(None))))
     rings = polygon_arrays.to_polygons(polygons)
-    ids = result["building_id"].astype(str).to_numpy(dtype=object)
+    ids = result["building_id"]
     for row in np.flatnonzero(usable):
         edges = FootprintEdges.from_rings(rings.rings(int(row)), is_party[selection[row]], radius_m[row])
         roof_type[row], angles = draw_angles(edges, ids[row], config)
@@ -87,7 +87,7 @@ def cut_scene(
             "angle_deg": angle_deg,
         },
         geometry=polygons,
-        crs=frame.crs,
+        crs=features.crs,
     )
     return scene.sort_values("building_id", kind="stable").reset_index(drop=True)
 
@@ -124,9 +124,9 @@ def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
     return [is_party[offset[p] : offset[p + 1]] for p in range(len(rings))]
 
 
-def _tile_names(parts: gpd.GeoDataFrame, tile_size_m: float) -> np.ndarray:
+def _tile_names(parts: Features, tile_size_m: float) -> np.ndarray:
     """Tile of each part by its centre; "" for a part without coordinates."""
-    x, y = parts["centre_x_m"].to_numpy(), parts["centre_y_m"].to_numpy()
+    x, y = parts["centre_x_m"], parts["centre_y_m"]
     is_finite = np.isfinite(x) & np.isfinite(y)
     names = np.full(len(parts), "", dtype=object)
     names[is_finite] = tiles_of_points(x[is_finite], y[is_finite], tile_size_m)

@@ -7,6 +7,7 @@ import pandas as pd
 import shapely
 
 from p2wss.config import Scenes
+from p2wss.data.features import Features
 from p2wss.data.seeds import generator
 from p2wss.data.terrain import Terrain
 
@@ -30,8 +31,8 @@ DRAWN_M = (2.5, 6.5)
 _STEP_M = 1.0  # between samples of the terrain along a footprint
 
 
-def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """Eave height above the ground (float64, metres) and its source (text), one per row of ``frame``.
+def eave_heights(features: Features, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
+    """Eave height above the ground (float64, metres) and its source (text), one per feature.
 
     The height is the first of these that is known and at least ``min_eave_height_m``:
 
@@ -40,32 +41,32 @@ def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.nd
     3. "floors": num_floors x ``storey_height_m``;
     4. "drawn": drawn from a range by nature or usage, with a seed from (seed, "scenes", building_id).
 
-    A column that ``frame`` lacks counts as unknown.
+    A column that they lack counts as unknown.
     """
 
     def numbers(name: str) -> np.ndarray:
-        return frame[name].to_numpy(dtype=float) if name in frame else np.full(len(frame), np.nan)
+        return features.columns.get(name, np.full(len(features), np.nan)).astype(float)
 
     candidates = {
         "hauteur": numbers("hauteur_m"),
         "altitudes": numbers("altitude_minimale_toit_m") - numbers("altitude_minimale_sol_m"),
         "floors": numbers("num_floors") * config.storey_height_m,
     }
-    height = np.full(len(frame), np.nan)
-    source = np.full(len(frame), "drawn", dtype=object)
+    height = np.full(len(features), np.nan)
+    source = np.full(len(features), "drawn", dtype=object)
     for name, values in candidates.items():
         rows = np.isnan(height) & (values >= config.min_eave_height_m) & np.isfinite(values)
         height[rows], source[rows] = values[rows], name
     for row in np.flatnonzero(np.isnan(height)):
-        nature, usage = _text(frame, "nature", int(row)), _text(frame, "usage", int(row))
+        nature, usage = _text(features, "nature", int(row)), _text(features, "usage", int(row))
         low, high = DRAWN_BY_NATURE_M.get(nature) or DRAWN_BY_USAGE_M.get(usage) or DRAWN_M
-        rng = generator(config.seed, "scenes", frame["building_id"].iloc[row], "height")
+        rng = generator(config.seed, "scenes", features["building_id"][row], "height")
         height[row] = np.round(rng.uniform(low, high), 1)
     return height, source
 
 
-def _text(frame: pd.DataFrame, column: str, row: int) -> str:
-    value = frame[column].iloc[row] if column in frame else None
+def _text(features: Features, column: str, row: int) -> str:
+    value = features[column][row] if column in features.columns else None
     return value if isinstance(value, str) else ""
 
 

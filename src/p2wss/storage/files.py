@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
@@ -29,6 +27,7 @@ from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
 # GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
@@ -100,6 +99,8 @@ class TableWriter:
 
     def append(self, columns: Mapping[str, Any]) -> None:
         """Write rows, one array or list of values per column of the schema."""
+        import pyarrow as pa
+
         schema = self._writer.schema
         # an array without a value may be of any type: of a tile without buildings, for instance
         arrays = {
@@ -150,6 +151,8 @@ def read_rows(
     select: from a table of ``columns`` with n rows to a mask, bool (n,). Raises :class:`InputError` as
     :func:`read_table` does.
     """
+    import pyarrow as pa
+
     pieces = [schema.empty_table()]
     with _readable(path) as file:
         _check_columns(path, file, schema.names)
@@ -182,6 +185,9 @@ def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> 
 
 def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
     """The table with the types of ``schema``, of which it may have some columns only."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
     fields = [schema.field(name) for name in table.column_names]
     with reading(path, "a table with the types that are expected"):
         table = table.cast(pa.schema([field.with_nullable(True) for field in fields], table.schema.metadata))
@@ -214,6 +220,7 @@ def write_geoparquet(
 
     schema: the types of its columns, which an empty frame does not show.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     buffer = BytesIO()
@@ -324,4 +331,6 @@ def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:
 
 def ragged(values: np.ndarray, offsets: np.ndarray) -> pa.ListArray:
     """The inverse of :func:`list_column`: a list array with the slices of ``values`` between ``offsets``."""
+    import pyarrow as pa
+
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(values))

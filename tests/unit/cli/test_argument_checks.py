@@ -158,6 +158,16 @@ def test_wrong_arguments_are_refused_before_anything_slow_is_imported(place: Pat
     assert json.loads(output.stdout) == [[2] * len(arguments), []], output.stderr
 
 
+def test_what_a_run_does_not_need_is_not_loaded(place: Path) -> None:
+    """Loading these takes as long as reconstructing many houses, and much memory."""
+    unused = {"pandas", "geopandas", "pyarrow", "scipy.spatial", "scipy.ndimage", "scipy.linalg", "scipy.fft"}
+    arguments = ["reconstruct", "cloud.laz", "footprints.gpkg", "out", "--model", "none"]
+    code = f"import sys; from p2wss.cli import main; assert not main({arguments}); print({unused} & set(sys.modules))"
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    output = subprocess.check_output([sys.executable, "-c", code], cwd=place, env=environment, text=True)
+    assert output.splitlines()[-1] == "set()" and (place / "out" / "cloud.gpkg").exists()
+
+
 def test_an_output_folder_that_is_a_file_or_cannot_be_written(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

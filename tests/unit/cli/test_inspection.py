@@ -20,6 +20,7 @@ from safetensors.torch import save_file
 
 from p2wss.cli import main
 from p2wss.cli.inspection import describe, text
+from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
@@ -81,16 +82,16 @@ def test_vector() -> None:
 
 
 def test_a_gpkg_of_p2wss_has_its_provenance(tmp_path: Path) -> None:
-    gpkg.write(tmp_path / "a.gpkg", gpd.read_file(GPKG).iloc[:3], FACTS, style="<qgis/>")
+    gpkg.write(tmp_path / "a.gpkg", Features.of(gpd.read_file(GPKG).iloc[:3]), FACTS, style="<qgis/>")
     warnings.simplefilter("error")  # of several layers
     assert describe(tmp_path / "a.gpkg")["provenance"] == SHOWN
 
 
 def test_a_gpkg_has_the_same_bytes_whenever_it_is_written(tmp_path: Path) -> None:
-    frame = gpd.read_file(GPKG).iloc[:3]
-    gpkg.write(tmp_path / "a.gpkg", frame, FACTS)
+    features = Features.of(gpd.read_file(GPKG).iloc[:3])
+    gpkg.write(tmp_path / "a.gpkg", features, FACTS)
     time.sleep(0.01)  # times in a GeoPackage have milliseconds
-    gpkg.write(tmp_path / "b.gpkg", frame, FACTS)
+    gpkg.write(tmp_path / "b.gpkg", features, FACTS)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
 
 

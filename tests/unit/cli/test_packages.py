@@ -81,11 +81,11 @@ def test_imports_of_a_command_are_not_searched_for_garbage() -> None:
 
 def test_a_command_imports_without_what_it_does_not_need(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "wave", raising=False)
-    with importing(without="wave"), pytest.raises(ImportError):
+    with importing("wave"), pytest.raises(ImportError):
         import wave
     import wave
 
-    with importing(without="wave"):
+    with importing("wave"):
         assert wave is sys.modules["wave"]
     assert wave is sys.modules["wave"]
     gc.unfreeze()

@@ -9,13 +9,13 @@ import numpy as np
 import pyproj
 import pytest
 import shapely
+from feature_tables import read_footprints
 from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
 from p2wss.clouds.reading import Cloud
 from p2wss.data.crs import MetricCrs, metric_crs, reprojected
 from p2wss.data.terrain import Terrain
-from p2wss.footprints.cleaning import read_footprints
 from p2wss.storage.errors import InputError
 
 FOOT = 1200 / 3937
@@ -108,9 +108,9 @@ def test_clouds_in_degrees_get_a_zone_of_utm() -> None:
 def test_what_cannot_be_transformed_is_refused() -> None:
     with pytest.raises(InputError, match="cannot be transformed to one in metres"):
         metric_crs(pyproj.CRS.from_epsg(4978), None, "a.laz")
-    frame = gpd.GeoDataFrame(geometry=[shapely.box(700_000, 6_600_000, 700_010, 6_600_010)], crs=WGS84)
+    shapes = np.array([shapely.box(700_000, 6_600_000, 700_010, 6_600_010)])
     with pytest.raises(InputError, match=r"f\.gpkg: is in WGS 84, whose coordinates cannot be transformed"):
-        reprojected(frame, LAMBERT, "f.gpkg")
+        reprojected(shapes, WGS84, LAMBERT, "f.gpkg")
 
 
 def test_one_bad_feature_does_not_stop_the_others() -> None:
@@ -120,21 +120,20 @@ def test_one_bad_feature_does_not_stop_the_others() -> None:
         None,
         shapely.Polygon(),
     ]
-    result = reprojected(gpd.GeoDataFrame(geometry=shapes, crs=WGS84), LAMBERT, "f.gpkg")
-    assert np.isfinite(result.geometry.iloc[0].bounds).all()
-    assert result.geometry.iloc[2] is None and result.geometry.iloc[3].is_empty
+    result = reprojected(np.array(shapes), WGS84, LAMBERT, "f.gpkg")
+    assert np.isfinite(result[0].bounds).all()
+    assert result[2] is None and result[3].is_empty
 
 
 def test_reprojection_is_told_with_its_accuracy(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     lambert = gpd.GeoDataFrame(geometry=[shapely.box(652000, 6861000, 652010, 6861010)], crs=LAMBERT)
     # heights of vertices do not matter, not even if they are not finite
-    degrees = lambert.to_crs(4326)
-    degrees = degrees.set_geometry(shapely.force_3d(degrees.geometry.to_numpy(), float("inf")))
-    back = reprojected(degrees, pyproj.CRS("EPSG:5698"), "f.geojson")
-    assert shapely.hausdorff_distance(back.geometry.iloc[0], lambert.geometry.iloc[0]) < 1e-3
+    degrees = shapely.force_3d(lambert.to_crs(4326).geometry.to_numpy(), float("inf"))
+    (back,) = reprojected(degrees, WGS84, pyproj.CRS("EPSG:5698"), "f.geojson")
+    assert shapely.hausdorff_distance(back, lambert.geometry.iloc[0]) < 1e-3
     assert "f.geojson: reprojected from WGS 84 to RGF93 v1 / Lambert-93, accuracy" in caplog.text
-    assert reprojected(lambert, LAMBERT, "f") is lambert
+    assert reprojected(degrees, WGS84, WGS84, "f") is degrees
 
 
 @pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")

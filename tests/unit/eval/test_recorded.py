@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from p2wss import crops
 from p2wss.config import Config, Eval, Reconstruct, load
 from p2wss.data.building import Reconstruction
+from p2wss.data.features import Features
 from p2wss.eval import cases, measure, methods, roofer_command, tables
 from p2wss.footprints import cleaning
 from p2wss.mesh.surface import sample_surface
@@ -31,9 +32,10 @@ ABSENT = "no-such-program-as-roofer"
 def real_cases(folder: str, cloud: str, tile: str, crs: int) -> list[cases.Case]:
     """The buildings of a folder of real data, as the stage crops writes and the evaluation reads them."""
     config = Config()
-    frame = cleaning.read_footprints(DATA / folder / "footprints.gpkg")
-    frame = cleaning.clean_footprints(frame.to_crs(crs), config.scenes)
-    columns, _ = crops.crop_real(frame, [DATA / folder / cloud], tile, 1000, config.crops)
+    features = cleaning.read_footprints(DATA / folder / "footprints.gpkg")
+    moved = Features.of(features.to_frame().to_crs(crs))
+    features = cleaning.clean_footprints(moved, config.scenes)
+    columns, _ = crops.crop_real(features, [DATA / folder / cloud], tile, 1000, config.crops)
     table = pa.table({field.name: pa.array(columns[field.name], field.type) for field in CROPS})
     return cases.from_crops(table, REAL)
 

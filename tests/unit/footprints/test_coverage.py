@@ -9,13 +9,13 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from feature_tables import clean_footprints, read_footprints, read_whole_blocks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SHARED
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints.cleaning import clean_footprints, read_footprints, read_whole_blocks
 from p2wss.footprints.coverage import block_numbers, clean_coverage, is_accepted
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"

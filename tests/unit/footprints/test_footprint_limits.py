@@ -9,9 +9,9 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from feature_tables import clean_footprints, read_footprints
 
 from p2wss.config import Scenes
-from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.footprints.limits import repaired
 
 

@@ -8,13 +8,13 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from feature_tables import clean_footprints, read_footprints, split_parts
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from places import SHARED
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints.cleaning import clean_footprints, read_footprints, split_parts
 from p2wss.footprints.coverage import is_accepted
 from p2wss.storage.errors import InputError
 

@@ -15,27 +15,26 @@ import pytest
 import shapely
 
 import p2wss.formats
+from p2wss.data.features import Features
 from p2wss.formats import gpkg, qgis
 
 STATES = {"a": "ok", "b": "flagged", "c": "flagged", "d": "flat", "e": "none"}
 
 
 @pytest.fixture
-def frame() -> gpd.GeoDataFrame:
+def features() -> Features:
     columns = {
         "building_id": [*STATES],
         "status": ["ok", "ok", "ok", "flat", "none"],
         "not_representable": [False, True, False, True, False],
         "footprint_flags": [None, None, "ground-inside", None, None],
     }
-    return gpd.GeoDataFrame(columns, geometry=[shapely.box(0, 0, 1, 1)] * 5, crs=2154)
+    return Features.of(gpd.GeoDataFrame(columns, geometry=[shapely.box(0, 0, 1, 1)] * 5, crs=2154))
 
 
-def test_qgis_finds_the_style_of_the_layer_and_others_the_layers(
-    frame: gpd.GeoDataFrame, tmp_path: Path
-) -> None:
+def test_qgis_finds_the_style_of_the_layer_and_others_the_layers(features: Features, tmp_path: Path) -> None:
     path = tmp_path / "a.gpkg"
-    gpkg.write(path, frame, {}, more={"input_footprints": frame}, style=qgis.STYLE)
+    gpkg.write(path, features, {}, more={"input_footprints": features}, style=qgis.STYLE)
     layers = dict(pyogrio.list_layers(path))
     assert layers == {"buildings": "Polygon", "input_footprints": "Polygon", "layer_styles": None}
     assert gpd.read_file(path, layer="buildings")["building_id"].tolist() == [*STATES]
@@ -66,8 +65,8 @@ def test_the_colours_and_words_are_those_of_the_page() -> None:
     assert {state: (color, text) for state, color, text in found} == qgis.STATES
 
 
-def test_a_style_has_the_same_bytes_whenever_it_is_written(frame: gpd.GeoDataFrame, tmp_path: Path) -> None:
+def test_a_style_has_the_same_bytes_whenever_it_is_written(features: Features, tmp_path: Path) -> None:
     for name in ("a.gpkg", "b.gpkg"):
-        gpkg.write(tmp_path / name, frame, {}, style=qgis.STYLE)
+        gpkg.write(tmp_path / name, features, {}, style=qgis.STYLE)
         time.sleep(0.01)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()

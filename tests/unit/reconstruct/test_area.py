@@ -15,6 +15,7 @@ from toy_clouds import LAMBERT, cleaned
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
+from p2wss.data.features import Features
 from p2wss.reconstruct import area as areas
 from p2wss.reconstruct.area import Area, run_area
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -32,7 +33,7 @@ NUM_HOUSES, NUM_IN_ROW = 24, 6
 
 
 @pytest.fixture(scope="module")
-def town() -> tuple[gpd.GeoDataFrame, Cloud]:
+def town() -> tuple[Features, Cloud]:
     """Two rows of houses that share walls, houses by themselves, some 500 m further east, and one without points."""
     draw = np.random.default_rng(5)
     shapes = []
@@ -63,16 +64,16 @@ def town() -> tuple[gpd.GeoDataFrame, Cloud]:
 
 
 def results_of(
-    town: tuple[gpd.GeoDataFrame, Cloud],
+    town: tuple[Features, Cloud],
     folder: Path,
     is_chosen: np.ndarray | None = None,
     num_processes: int = 1,
     **options: bool,
 ) -> tuple[dict[str, Result], int]:
     """The results by the ids of buildings, and the number of batches."""
-    frame, cloud = town
-    is_chosen = np.ones(len(frame), bool) if is_chosen is None else is_chosen
-    area = Area(frame, is_chosen, CONFIG)
+    features, cloud = town
+    is_chosen = np.ones(len(features), bool) if is_chosen is None else is_chosen
+    area = Area(features, is_chosen, CONFIG)
     with CloudIndex(area.boxes, folder) as points, Spool[Any](len(area.numbers), folder) as store:
         points.append(cloud)
         registers = area.may_move(points) | options.get("registers", False)
@@ -97,7 +98,7 @@ def content(value: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def whole(town: tuple[gpd.GeoDataFrame, Cloud], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def whole(town: tuple[Features, Cloud], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     results, num_batches = results_of(town, tmp_path_factory.mktemp("whole"))
     assert num_batches == 1
     assert list(results) == town[0]["building_id"].tolist()
@@ -106,7 +107,7 @@ def whole(town: tuple[gpd.GeoDataFrame, Cloud], tmp_path_factory: pytest.TempPat
 
 @pytest.mark.parametrize(("limit", "num_processes"), [("MAX_FOOTPRINTS", 1), ("MAX_POINTS", 2)])
 def test_batches_change_nothing(
-    town: tuple[gpd.GeoDataFrame, Cloud],
+    town: tuple[Features, Cloud],
     whole: dict[str, Any],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -120,16 +121,16 @@ def test_batches_change_nothing(
 
 
 def test_a_part_gives_the_same_as_the_whole(
-    town: tuple[gpd.GeoDataFrame, Cloud], whole: dict[str, Any], tmp_path: Path
+    town: tuple[Features, Cloud], whole: dict[str, Any], tmp_path: Path
 ) -> None:
     """Chosen as by a border through a row, whose walls are party walls on either side; and in the east, where nobody
     classified buildings."""
-    frame, _ = town
+    features, _ = town
     for low, high in ((664_300, 664_325), (664_900, 664_970)):
-        is_chosen = frame["centre_x_m"].between(low, high).to_numpy()
+        is_chosen = (features["centre_x_m"] >= low) & (features["centre_x_m"] <= high)
         assert 2 <= is_chosen.sum() < 10
         part, _ = results_of(town, tmp_path, is_chosen)
-        assert list(part) == frame["building_id"][is_chosen].tolist()
+        assert list(part) == features["building_id"][is_chosen].tolist()
         for name, result in part.items():
             assert content(result) == whole[name]
         if low == 664_300:
@@ -137,11 +138,11 @@ def test_a_part_gives_the_same_as_the_whole(
 
 
 def test_footprints_move_only_where_the_producer_shows_buildings(
-    town: tuple[gpd.GeoDataFrame, Cloud], tmp_path: Path
+    town: tuple[Features, Cloud], tmp_path: Path
 ) -> None:
-    frame, _ = town
+    features, _ = town
     results, _ = results_of(town, tmp_path)
-    is_east = (frame["centre_x_m"] > EAST_M).to_numpy()
+    is_east = features["centre_x_m"] > EAST_M
     for result, is_eastern in zip(results.values(), is_east, strict=True):
         assert (result.registration is None) == is_eastern
         if result.registration is not None:
@@ -149,11 +150,11 @@ def test_footprints_move_only_where_the_producer_shows_buildings(
     # points that are nobody's buildings are taken for roofs
     assert [result.status for result in results.values()] == ["ok"] * NUM_HOUSES + ["flat"]
     forced, _ = results_of(town, tmp_path, registers=True)
-    houses = [forced[name] for name in frame["building_id"][is_east][:-1]]
+    houses = [forced[name] for name in features["building_id"][is_east][:-1]]
     assert all(np.hypot(*np.add(house.registration.shift_m, SHIFT_M)) < 0.3 for house in houses)
 
 
-def test_ground_of_a_building_without_points(town: tuple[gpd.GeoDataFrame, Cloud], tmp_path: Path) -> None:
+def test_ground_of_a_building_without_points(town: tuple[Features, Cloud], tmp_path: Path) -> None:
     """It is that of the nearest buildings with points, in whatever batch these are."""
     results, _ = results_of(town, tmp_path)
     far = results[f"b{NUM_HOUSES}"]
@@ -162,9 +163,7 @@ def test_ground_of_a_building_without_points(town: tuple[gpd.GeoDataFrame, Cloud
     )
 
 
-def test_party_walls_of_meshes_that_are_read_again(
-    town: tuple[gpd.GeoDataFrame, Cloud], tmp_path: Path
-) -> None:
+def test_party_walls_of_meshes_that_are_read_again(town: tuple[Features, Cloud], tmp_path: Path) -> None:
     results, _ = results_of(town, tmp_path)
     meshes = [result.reconstruction.placed_mesh for result in results.values()]
     expected = [result.party_wall_area_m2 for result in results.values()]

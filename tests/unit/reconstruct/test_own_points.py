@@ -14,6 +14,7 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.building import Building
+from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import shaft_points
@@ -66,7 +67,7 @@ def test_buildings_are_fitted_to_their_own_points() -> None:
     for num_processes in (1, 2):
         results: dict[int, Result] = {}
         rows = Rows(2, results, None, "t", Reconstruct(), num_processes=num_processes)
-        rows.reconstruct(np.arange(2), frame, Cloud(x, y, z, classes, None))
+        rows.reconstruct(np.arange(2), Features.of(frame), Cloud(x, y, z, classes, None))
         assert results[0].reconstruction.mesh.vertex_m[:, 2].max() == pytest.approx(3.0, abs=0.05)
         sample_m, mesh = results[0].sample_m, results[0].reconstruction.mesh
         assert 100 < len(sample_m) <= 256

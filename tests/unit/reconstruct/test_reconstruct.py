@@ -19,7 +19,7 @@ from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
 
 import p2wss
 from p2wss.clouds.reading import Cloud, read_clouds
-from p2wss.config import Reconstruct
+from p2wss.config import Reconstruct, Scenes
 from p2wss.data.crs import common_crs
 from p2wss.footprints import cleaning
 from p2wss.formats import gpkg
@@ -146,10 +146,10 @@ def test_real_clouds_give_watertight_buildings(
     place: str, cloud: str, num_buildings: int, num_meshes: int, tmp_path: Path
 ) -> None:
     folder = SHARED / "data" / place
-    frame = cleaning.read_footprints(folder / "footprints.gpkg")
-    points = read_clouds([folder / cloud], window(frame))
-    crs, _ = common_crs(points.crs, frame.crs, None, NAMES)
-    results = run(cleaned(frame), points, Oracle(), place, NETWORK_ALONE)
+    features = cleaning.clean_footprints(cleaning.read_footprints(folder / "footprints.gpkg"), Scenes())
+    points = read_clouds([folder / cloud], window(features))
+    crs, _ = common_crs(points.crs, features.crs, None, NAMES)
+    results = run(features, points, Oracle(), place, NETWORK_ALONE)
     assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
     path = tmp_path / "out.city.jsonl"
     path.write_text("".join(city_json(results, crs)))

@@ -11,6 +11,7 @@ from places import SHARED
 
 from p2wss.cli import main
 from p2wss.config import Scenes
+from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
 from p2wss.scenes.cut import (
@@ -49,9 +50,9 @@ def flat(z: float = 40.0) -> Terrain:
     return Terrain(np.full((480, 480), z, np.float32), 651800 - 2.5, 6863200 + 2.5, 5.0)
 
 
-def window(frame: gpd.GeoDataFrame, tile: str, config: Scenes = CONFIG) -> gpd.GeoDataFrame:
+def window(frame: gpd.GeoDataFrame, tile: str, config: Scenes = CONFIG) -> Features:
     x_min, y_min, x_max, y_max = tile_bounds(tile, TILE_M, config.margin_m + NEIGHBOUR_DISTANCE_M)
-    return frame.cx[x_min:x_max, y_min:y_max]
+    return Features.of(frame.cx[x_min:x_max, y_min:y_max])
 
 
 TILES = ["0652_6862", "0653_6862", "0652_6863", "0653_6863"]
@@ -62,7 +63,7 @@ def test_every_building_is_in_one_tile() -> None:
     scenes = [cut_scene(window(frame, tile), flat(), tile, TILE_M, CONFIG) for tile in TILES]
     in_tile = pd.concat([scene[scene["in_tile"]] for scene in scenes])
     assert sorted(in_tile["building_id"]) == sorted(frame["building_id"])
-    counts = count_buildings(frame, TILE_M, CONFIG.min_area_m2)
+    counts = count_buildings(Features.of(frame), TILE_M, CONFIG.min_area_m2)
     assert counts == in_tile["tile"].value_counts().to_dict()
     middle = frame.set_index("building_id").centroid
     for scene in scenes:
@@ -113,7 +114,7 @@ def test_excluded_buildings_keep_their_row() -> None:
     frame["hauteur_m"] = [5.0, 5.0, 120.0, 5.0, 5.0, 5.0]
     terrain = flat()
     terrain.height_m[:, round((652190 - 651800) / 5) : round((652202 - 651800) / 5)] = np.nan
-    scene = cut_scene(frame, terrain, "0652_6862", TILE_M, CONFIG)
+    scene = cut_scene(Features.of(frame), terrain, "0652_6862", TILE_M, CONFIG)
     assert list(scene["status"]) == ["ok", "too-small", "too-high", "no-terrain", "ok", "ok"]
     bad = scene[scene["status"] != "ok"]
     assert bad.geometry.is_empty.all() and bad["eave_height_m"].isna().all()
@@ -122,7 +123,7 @@ def test_excluded_buildings_keep_their_row() -> None:
 
 
 def test_an_empty_window_gives_an_empty_scene() -> None:
-    scene = cut_scene(town().iloc[:0], flat(), TILES[0], TILE_M, CONFIG)
+    scene = cut_scene(Features.of(town().iloc[:0]), flat(), TILES[0], TILE_M, CONFIG)
     assert len(scene) == 0 and list(scene.columns) == [*SCENE.names, "geometry"]
     assert failed_fraction(scene) == 0
 

@@ -6,21 +6,22 @@ import pytest
 import shapely
 
 from p2wss.config import Scenes
+from p2wss.data.features import Features, columns_of
 from p2wss.data.terrain import Terrain
 from p2wss.scenes.heights import DRAWN_BY_NATURE_M, eave_heights, ground_heights
 
 CONFIG = Scenes()
 
 
-def attributes(**columns: object) -> pd.DataFrame:
-    return pd.DataFrame(
-        {"building_id": [f"B{i}" for i in range(len(next(iter(columns.values()))))], **columns}
-    )  # type: ignore[arg-type]
+def attributes(**columns: list[object]) -> Features:
+    ids = [f"B{i}" for i in range(len(next(iter(columns.values()))))]
+    table = pd.DataFrame({"building_id": ids, **columns})
+    return Features(np.full(len(table), None), columns_of(table))
 
 
 def test_fallbacks_are_used_in_order() -> None:
     nan = np.nan
-    frame = attributes(
+    features = attributes(
         hauteur_m=[6.2, nan, 0.0, nan, nan, 0.4],
         altitude_minimale_toit_m=[99, 55.5, 58.0, nan, 50, nan],
         altitude_minimale_sol_m=[50, 50.0, 50.0, 50, 50, 50],
@@ -28,7 +29,7 @@ def test_fallbacks_are_used_in_order() -> None:
         nature=["Indifférenciée"] * 4 + ["Silo", None],
         usage=[None] * 6,
     )
-    height, source = eave_heights(frame, CONFIG)
+    height, source = eave_heights(features, CONFIG)
     assert list(source) == ["hauteur", "altitudes", "altitudes", "floors", "drawn", "drawn"]
     assert list(height[:4]) == pytest.approx([6.2, 5.5, 8.0, 6.0])
     low, high = DRAWN_BY_NATURE_M["Silo"]
@@ -36,13 +37,13 @@ def test_fallbacks_are_used_in_order() -> None:
 
 
 def test_drawn_heights_depend_only_on_the_building() -> None:
-    frame = attributes(hauteur_m=[np.nan] * 5, usage=["Annexe"] * 5)
-    height, source = eave_heights(frame, CONFIG)
+    features = attributes(hauteur_m=[np.nan] * 5, usage=["Annexe"] * 5)
+    height, source = eave_heights(features, CONFIG)
     assert set(source) == {"drawn"} and len(set(height)) > 1
     assert ((height >= 2.2) & (height <= 3.2)).all()
-    backwards, _ = eave_heights(frame.iloc[::-1], CONFIG)
+    backwards, _ = eave_heights(features.take(np.arange(5)[::-1]), CONFIG)
     np.testing.assert_array_equal(backwards[::-1], height)
-    other, _ = eave_heights(frame, Scenes(seed=1))
+    other, _ = eave_heights(features, Scenes(seed=1))
     assert not np.array_equal(other, height)
 
 

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -33,13 +30,3 @@ def test_of_equally_near_points_the_first() -> None:
 
 def test_no_more_points_than_there_are() -> None:
     assert nearest(np.zeros((2, 3)), np.zeros((1, 3)), 3)[0].tolist() == [[0, 0, np.inf]]
-
-
-def test_what_a_run_does_not_need_is_not_loaded() -> None:
-    unused = {"scipy.spatial", "scipy.ndimage", "scipy.linalg", "scipy.fft", "pyarrow.parquet"}
-    code = (
-        "import sys; import numpy as np; from p2wss.reconstruct import scene; "
-        "from p2wss.skeleton.nearest import nearest; nearest(np.zeros((1, 2)), np.zeros((1, 2))); "
-        f"assert not {unused} & sys.modules.keys()"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from feature_tables import clean_footprints, read_footprints
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SHARED
@@ -16,7 +17,6 @@ from skeleton_solids import judged_sound
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.skeleton import Polygons, Status, build
 
 DATA = SHARED / "data"
