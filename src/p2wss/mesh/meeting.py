@@ -7,6 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
+from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
 # what moves by less than this stays, to the bit
@@ -19,6 +20,8 @@ _RANK = 1e-2
 # changes of planes that move no vertex by more than the square root of this share of themselves are not made
 _NO_CHANGE = 1e-10
 _NUM_ROUNDS = 4
+# so many planes and places that depend on each other are solved for together
+_TOGETHER = 200
 # a triangle is turned over if twice its area along its former normal is less than minus this
 _NO_AREA_M2 = 1e-6
 
@@ -35,11 +38,12 @@ def with_meeting_planes(
     squares are solved a few times.
     """
     planes = mesh.planes
-    corner = np.unique(np.column_stack([mesh.triangle.ravel(), np.repeat(planes.number, 3)]), axis=0)
+    num = len(planes.kind)
+    corner = np.column_stack(np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num))
     row, base, scale = _equations(mesh, corner)
     _, place = np.unique(place, return_inverse=True)
     pairs = np.concatenate([corner, np.array(list(more), int).reshape(-1, 2)])
-    at, plane = np.unique(np.column_stack([place[pairs[:, 0]], pairs[:, 1]]), axis=0).T
+    at, plane = np.divmod(np.unique(place[pairs[:, 0]] * num + pairs[:, 1]), num)
     # any vertex of a place tells where its planes are, as they are linear
     first = np.unique(place, return_index=True)[1]
     vertex_m = mesh.vertex_m[first]
@@ -50,30 +54,61 @@ def with_meeting_planes(
     is_there[at, slot] = True
     of_slot = np.zeros(size, int)
     of_slot[at, slot] = plane
-    # planes that stay have no lever, so the number of their unknowns does not matter
     moves = scale.any(axis=(1, 2))
-    num, unknown = moves.sum(), (np.cumsum(moves) - 1)[of_slot]
     change = np.zeros((len(row), 3))
-    for _ in range(_NUM_ROUNDS):
-        normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
-        if np.abs(off_m).max() < _EXACT_M:
-            break
-        to_meet = np.linalg.pinv(normal, _RANK)
-        # what is left of the distances of planes from a point wherever it is
-        apart = np.eye(size[1]) - normal @ to_meet
-        square, right = np.zeros((num, num, 3, 3)), np.zeros((num, 3))
-        blocks = apart[..., None, None] * lever[:, :, None, :, None] * lever[:, None, :, None, :]
-        np.add.at(square, (unknown[:, :, None], unknown[:, None]), blocks)
-        np.add.at(right, unknown, (apart @ off_m[..., None]) * lever)
-        matrix = square.transpose(0, 2, 1, 3).reshape(3 * num, 3 * num) + _NO_CHANGE * np.eye(3 * num)
-        change[moves] -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)
-        normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
-        vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
+    normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+    is_off = np.asarray(np.abs(off_m).max(axis=1) >= _EXACT_M)
+    if is_off.any():
+        # places where planes depend on each other, as more meet than a point needs
+        rank = np.einsum("nij,nji->n", normal, np.linalg.pinv(normal, _RANK))
+        is_linked = is_there & moves[of_slot] & (is_off | (count - rank > 0.5))[:, None]
+        at, slot = np.nonzero(is_linked)
+        part = groups(len(row) + len(first), np.column_stack([of_slot[at, slot], len(row) + at]))
+        parts, size_of = np.unique(part, return_counts=True)
+        is_wrong = np.isin(parts, part[len(row) :][is_off])
+        together = np.where(is_wrong, np.cumsum(size_of * is_wrong) // _TOGETHER, -1)[part]
+        for number in np.unique(together[together >= 0]):
+            is_own, is_at = np.split(together == number, [len(row)])
+            is_own &= moves
+            here = np.flatnonzero((is_own[of_slot] & is_there).any(axis=1) | is_at)
+            places = vertex_m[here], of_slot[here], is_there[here]
+            vertex_m[here] = _met(row, base, scale, change, is_own, *places)
     apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
     moved_m = vertex_m[place]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
     return moved, apart_m[place]
+
+
+def _met(
+    row: np.ndarray,
+    base: np.ndarray,
+    scale: np.ndarray,
+    change: np.ndarray,
+    moves: np.ndarray,
+    vertex_m: np.ndarray,
+    of_slot: np.ndarray,
+    is_there: np.ndarray,
+) -> np.ndarray:
+    """Where the planes at places meet, (n, 3), after the least changes of those that move, which are put in place."""
+    # planes that stay have no lever here, so the number of their unknowns does not matter; 0 is that of none
+    num, unknown = moves.sum() + 1, np.cumsum(moves)[of_slot]
+    for _ in range(_NUM_ROUNDS):
+        normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        if np.abs(off_m).max() < _EXACT_M:
+            break
+        # what is left of the distances of planes from a point wherever it is
+        apart = np.eye(normal.shape[1]) - normal @ np.linalg.pinv(normal, _RANK)
+        lever = lever * moves[of_slot][..., None]
+        square, right = np.zeros((num, num, 3, 3)), np.zeros((num, 3))
+        blocks = apart[..., None, None] * lever[:, :, None, :, None] * lever[:, None, :, None, :]
+        np.add.at(square, (unknown[:, :, None], unknown[:, None]), blocks)
+        np.add.at(right, unknown, (apart @ off_m[..., None]) * lever)
+        matrix = square.transpose(0, 2, 1, 3).reshape(3 * num, 3 * num) + _NO_CHANGE * np.eye(3 * num)
+        change[moves] -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)[1:]
+        normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
+    return vertex_m
 
 
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:

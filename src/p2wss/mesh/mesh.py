@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 # a plane is upright, or faces upwards, by the z of its normal
 _UPRIGHT_NZ = 0.05
+_CONNECTION = ("twin", "face", "surfaces")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +71,11 @@ class Mesh:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def moved(self, vertex_m: np.ndarray) -> Mesh:
-        """The same triangles with other places of the vertices, (v, 3)."""
-        return replace(self, vertex_m=vertex_m)
+        """The same triangles with other places of the vertices, (v, 3), which turn no face over."""
+        result = replace(self, vertex_m=vertex_m)
+        # what follows from the triangles alone
+        vars(result).update({name: vars(self)[name] for name in _CONNECTION if name in vars(self)})
+        return result
 
     def translated(self, by_m: Sequence[float] | np.ndarray) -> Mesh:
         """The mesh moved by a vector (3,)."""

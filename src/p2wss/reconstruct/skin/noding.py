@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 import shapely
 
 from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, tidy
 from p2wss.skeleton.groups import groups
+from p2wss.skeleton.nearest import nearest
 
 _MAX_ROUNDS = 12
 # segments at a smaller angle than this count as parallel: points on them are what they have in common
@@ -92,15 +92,16 @@ def _crossings(
         upright = np.hypot(vector[crossing, 0], vector[crossing, 1]) <= TOLERANCE_M
         place[upright, :2] = start[crossing][upright, :2]
     used = np.unique(segment)
-    away, nearest = scipy.spatial.cKDTree(point[used]).query(place)
-    vertex = used[nearest]
+    away, found = nearest(point[used], place)
+    vertex = used[found[:, 0]]
     # new points at one place are one, the lexicographically smallest, whatever the order of the segments
-    fresh = np.flatnonzero(away > TOLERANCE_M)
+    fresh = np.flatnonzero(away[:, 0] > TOLERANCE_M)
     if len(fresh):
         fresh = fresh[np.lexsort(place[fresh].T[::-1])]
-        cluster = groups(
-            len(fresh), scipy.spatial.cKDTree(place[fresh]).query_pairs(TOLERANCE_M, output_type="ndarray")
-        )
+        plan = np.asarray(shapely.points(place[fresh, :2]), object)
+        near = shapely.STRtree(plan).query(plan, predicate="dwithin", distance=TOLERANCE_M)
+        is_near = np.linalg.norm(place[fresh[near[0]]] - place[fresh[near[1]]], axis=1) <= TOLERANCE_M
+        cluster = groups(len(fresh), near.T[is_near])
         _, first, cluster = np.unique(cluster, return_index=True, return_inverse=True)
         vertex[fresh] = len(point) + cluster
         point = np.vstack([point, place[fresh[first]]])

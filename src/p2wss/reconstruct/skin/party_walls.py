@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from p2wss.reconstruct.skin.noding import ring_edges
-from p2wss.reconstruct.skin.solids import Face, area_vector
+from p2wss.reconstruct.skin.solids import Face, area_vectors
 
 # areas of the pieces of a wall may add up to this much less or more than the wall
 _AREA_M2 = 1e-2
@@ -25,8 +25,8 @@ def without_common(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int
     The boundary of the result is the sum of the boundaries of ``walls``, so what was closed stays closed. Raises
     :class:`NotJoined` where two walls of one side overlap.
     """
-    areas = [area_vector(point, faces[wall].rings) for wall in walls]
-    largest = areas[int(np.argmax([np.abs(area).max() for area in areas]))]
+    areas = area_vectors(point, [faces[wall] for wall in walls])
+    largest = areas[np.abs(areas).max(axis=1).argmax()]
     normal = largest[:2] / np.hypot(*largest[:2])
     # seen against the normal, s runs to the right and z upwards
     used = sorted({v for wall in walls for ring in faces[wall].rings for v in ring})

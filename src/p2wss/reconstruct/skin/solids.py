@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 import shapely
 
 from p2wss.mesh import Mesh
+from p2wss.mesh.faces import doubled_area
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
@@ -85,37 +85,41 @@ def on_common_floors(
 
 
 def area_vector(point: np.ndarray, rings: Iterable[Sequence[int]]) -> np.ndarray:
-    """The vector along a polygon's outward normal with the length of its area (Newell)."""
-    total = np.zeros(3)
-    for ring in rings:
-        corner = point[ring] - point[ring[0]]
-        following = np.concatenate([corner[1:], corner[:1]])
-        x, y, z = corner.T
-        u, v, w = following.T
-        total += ((y * w - z * v).sum(), (z * u - x * w).sum(), (x * v - y * u).sum())
-    return total / 2
+    """The vector along a polygon's outward normal with the length of its area."""
+    return np.sum([doubled_area(point[ring]) for ring in rings], axis=0) / 2
+
+
+def area_vectors(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
+    """(f, 3), those of faces."""
+    rings = [ring for face in faces for ring in face.rings]
+    num_corners = np.array([len(ring) for ring in rings])
+    first = np.cumsum(num_corners) - num_corners
+    following = np.arange(1, num_corners.sum() + 1)
+    following[first + num_corners - 1] = first
+    corner = point[np.concatenate(rings)]
+    corner -= np.repeat(corner[first], num_corners, axis=0)
+    face = np.repeat(np.arange(len(faces)), [len(face.rings) for face in faces])
+    doubled = np.zeros((len(faces), 3))
+    np.add.at(doubled, face, np.add.reduceat(np.cross(corner, corner[following]), first))
+    return doubled / 2
 
 
 def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     """Pairs of walls of two buildings, int (n, 2) of faces, that face each other along a common stretch of a line."""
-    walls, segments, normals = [], [], []
-    for number, face in enumerate(faces):
-        if face.kind != FaceKind.WALL:
-            continue
-        area = area_vector(point, face.rings)
-        area /= max(float(np.linalg.norm(area)), 1e-12)
-        if abs(area[2]) > _UPRIGHT_NZ:
-            continue
-        plan = point[face.rings[0], :2]
-        along = plan @ (-area[1], area[0])
-        walls.append(number)
-        segments.append(plan[[along.argmin(), along.argmax()]])
-        normals.append(area[:2] / np.hypot(*area[:2]))
-    if not walls:
+    wall = np.array([number for number, face in enumerate(faces) if face.kind == FaceKind.WALL], int)
+    if not len(wall):
         return np.zeros((0, 2), int)
-    segment, normal = np.array(segments), np.array(normals)
-    wall = np.array(walls)
-    building = np.array([faces[number].building for number in walls])
+    normal = area_vectors(point, [faces[number] for number in wall])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    is_upright = np.abs(normal[:, 2]) <= _UPRIGHT_NZ
+    wall, normal = wall[is_upright], normal[is_upright, :2]
+    normal /= np.hypot(*normal.T)[:, None]
+    segment = np.zeros((len(wall), 2, 2))
+    for k, (x, y) in enumerate(normal.tolist()):
+        plan = point[faces[wall[k]].rings[0], :2]
+        along = plan @ (-y, x)
+        segment[k] = plan[[along.argmin(), along.argmax()]]
+    building = np.array([faces[number].building for number in wall], int)
     lines = np.asarray(shapely.linestrings(segment), object)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOLERANCE_M)
     candidate = (building[a] < building[b]) & ((normal[a] * normal[b]).sum(axis=1) < _OPPOSITE)
@@ -142,9 +146,9 @@ def weld(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> np.n
     used = np.unique(np.array([v for wall in walls for ring in faces[wall].rings for v in ring], int))
     # the lexicographically smallest stands for all, so that the order of the buildings has no effect
     used = used[np.lexsort(point[used].T[::-1])]
-    place = groups(
-        len(used), scipy.spatial.cKDTree(point[used, :2]).query_pairs(TOLERANCE_M, output_type="ndarray")
-    )
+    plan = np.asarray(shapely.points(point[used, :2]), object)
+    near = shapely.STRtree(plan).query(plan, predicate="dwithin", distance=TOLERANCE_M)
+    place = groups(len(used), near.T)
     _, first = np.unique(place, return_index=True)
     point[used, :2] = point[used[first[place]], :2]
     order = np.lexsort([point[used, 2], place])
