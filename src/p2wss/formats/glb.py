@@ -14,7 +14,7 @@ import numpy as np
 
 from p2wss import __version__
 from p2wss.formats.materials import EDITION, MATERIALS
-from p2wss.formats.meshes import Body, Frame, faces_of, material_names
+from p2wss.formats.meshes import Body, Frame, material_names
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 FLOAT, UNSIGNED_INT = 5126, 5125
@@ -104,7 +104,7 @@ def _primitives(body: Body, frame: Frame, names: Sequence[str], binary: Binary) 
     bounds = {"min": vertex.min(axis=0).tolist(), "max": vertex.max(axis=0).tolist()}
     position = binary.append(vertex, ARRAY_BUFFER, componentType=FLOAT, type="VEC3", **bounds)
     pieces: dict[str, list[tuple[str, np.ndarray]]] = {}
-    for faces in faces_of(body):
+    for faces in body.faces:
         pieces.setdefault(faces.material, []).append((faces.building_id, faces.triangle))
     result = []
     for material, parts in pieces.items():
@@ -122,7 +122,7 @@ def _primitives(body: Body, frame: Frame, names: Sequence[str], binary: Binary) 
 
 def _extras(body: Body) -> dict[str, Any]:
     materials: dict[str, dict[str, str]] = {ref.building_id: {} for ref in body.buildings}
-    for faces in faces_of(body):
+    for faces in body.faces:
         materials[faces.building_id][faces.surface] = faces.material
     if len(materials) == 1:
         ((building_id, surfaces),) = materials.items()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,9 @@ SURFACE_NAMES = {
     TERRAIN: "terrain",
     VEGETATION: "vegetation",
 }
+_SURFACES = list(dict.fromkeys(SURFACE_NAMES.values()))
+_SURFACE_OF_KIND = np.zeros(max(SURFACE_NAMES) + 1, int)
+_SURFACE_OF_KIND[list(SURFACE_NAMES)] = [_SURFACES.index(name) for name in SURFACE_NAMES.values()]
 AXES = "x = easting - origin_m[0], y = northing - origin_m[1], z = height - origin_m[2]; metres"
 _VERTEX = np.dtype([("xyz", "<f4", 3)])
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3), ("kind", "u1"), ("building", "<i4")])
@@ -75,6 +79,20 @@ class Body:
         """Whether it is a tree or a clump."""
         return VEGETATION in self.mesh.kind
 
+    @cached_property
+    def faces(self) -> list[Faces]:
+        """The triangles by building and surface, in the order in which these first appear."""
+        number = np.asarray(self.building, int) * len(_SURFACES) + _SURFACE_OF_KIND[self.mesh.kind]
+        number, first, index = np.unique(number, return_index=True, return_inverse=True)
+        triangles = np.split(np.argsort(index, kind="stable"), np.cumsum(np.bincount(index))[:-1])
+        result = []
+        for position in np.argsort(first).tolist():
+            building, k = divmod(int(number[position]), len(_SURFACES))
+            ref, surface = self.buildings[building], _SURFACES[k]
+            material = ref.materials.get(surface, DEFAULTS[surface])
+            result.append(Faces(ref.building_id, surface, material, triangles[position]))
+        return result
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -106,24 +124,6 @@ class Faces:
     triangle: np.ndarray
 
 
-def faces_of(body: Body) -> list[Faces]:
-    """The triangles of a body by building and surface, in the order in which these first appear."""
-    kinds = max(SURFACE_NAMES) + 1
-    number, first, index = np.unique(
-        np.asarray(body.building, int) * kinds + body.mesh.kind, return_index=True, return_inverse=True
-    )
-    by_surface: dict[tuple[int, str], list[int]] = {}
-    for position in np.argsort(first):
-        building, kind = divmod(int(number[position]), kinds)
-        by_surface.setdefault((building, SURFACE_NAMES[kind]), []).append(position)
-    result = []
-    for (building, surface), positions in by_surface.items():
-        ref = body.buildings[building]
-        material = ref.materials.get(surface, DEFAULTS[surface])
-        result.append(Faces(ref.building_id, surface, material, np.flatnonzero(np.isin(index, positions))))
-    return result
-
-
 def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> bytes:
     """Wavefront OBJ: one object per mesh, its faces by material, with their surfaces and buildings as comments.
 
@@ -143,7 +143,7 @@ def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> byt
         lines += [f"# {name} {value:g}" for name, value in body.attributes.items()]
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         material = None
-        for faces in sorted(faces_of(body), key=lambda faces: faces.material):
+        for faces in sorted(body.faces, key=lambda faces: faces.material):
             lines.append(f"# {faces.surface} {_word(faces.building_id)}")
             if library is not None and faces.material != material:
                 material = faces.material
@@ -174,7 +174,7 @@ def mtl(bodies: Sequence[Body], more: Mapping[str, Sequence[str]] | None = None)
 
 def material_names(bodies: Sequence[Body]) -> list[str]:
     """Names of all materials of the meshes, in the order in which they first appear."""
-    return list(dict.fromkeys(faces.material for body in bodies for faces in faces_of(body)))
+    return list(dict.fromkeys(faces.material for body in bodies for faces in body.faces))
 
 
 def ply(bodies: Sequence[Body], frame: Frame) -> bytes:

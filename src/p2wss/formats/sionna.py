@@ -20,7 +20,7 @@ import shapely
 
 from p2wss import __version__
 from p2wss.formats.materials import EDITION, MATERIALS
-from p2wss.formats.meshes import AXES, Body, Frame, faces_of, file_names, material_names
+from p2wss.formats.meshes import AXES, Body, Frame, file_names, material_names
 from p2wss.formats.radio_materials import Properties, properties
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
@@ -167,7 +167,7 @@ def _shapes(body: Body, split_materials: bool) -> list[_Shape]:
     mesh = body.mesh
     by_material: dict[str, list[np.ndarray]] = {}
     wall_m2: dict[str, float] = {}
-    for piece in faces_of(body):
+    for piece in body.faces:
         by_material.setdefault(piece.material, []).append(piece.triangle)
         weight = mesh.area_m2[piece.triangle].sum() * (1.0 if piece.surface == "wall" else 1e-6)
         wall_m2[piece.material] = wall_m2.get(piece.material, 0.0) + weight

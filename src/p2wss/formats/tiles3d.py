@@ -18,7 +18,7 @@ import pyproj
 from p2wss import __version__
 from p2wss.formats.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UNSIGNED_INT, Binary, container
 from p2wss.formats.glb import gltf_material as material_of
-from p2wss.formats.meshes import Body, Frame, faces_of, material_names
+from p2wss.formats.meshes import Body, Frame, material_names
 from p2wss.mesh import Mesh
 from p2wss.storage.errors import InputError
 
@@ -239,7 +239,7 @@ def _metadata(parts: Sequence[Body], binary: Binary) -> dict[str, Any]:
 
 def _material_numbers(body: Body, names: Sequence[str]) -> np.ndarray:
     numbers = np.zeros(len(body.mesh.triangle), int)
-    for faces in faces_of(body):
+    for faces in body.faces:
         numbers[faces.triangle] = names.index(faces.material)
     return numbers
 

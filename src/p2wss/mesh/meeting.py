@@ -54,10 +54,10 @@ def with_meeting_planes(
     is_there[at, slot] = True
     of_slot = np.zeros(size, int)
     of_slot[at, slot] = plane
-    moves = scale.any(axis=(1, 2))
+    moves = np.asarray(scale.any(axis=(1, 2)))
     change = np.zeros((len(row), 3))
     normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
-    is_off = np.asarray(np.abs(off_m).max(axis=1) >= _EXACT_M)
+    is_off = np.abs(off_m).max(axis=1) >= _EXACT_M
     if is_off.any():
         # places where planes depend on each other, as more meet than a point needs
         rank = np.einsum("nij,nji->n", normal, np.linalg.pinv(normal, _RANK))

@@ -21,7 +21,6 @@ from p2wss.formats.meshes import (
     Body,
     BuildingRef,
     Frame,
-    faces_of,
     frame_around,
     mtl,
     obj,
@@ -123,9 +122,9 @@ def test_open_ground_is_a_surface_of_its_own(frame: Frame) -> None:
     floor = row.mesh.kind == FaceKind.FLOOR
     materials = {"wall": "brick", "roof": "tile", "ground": "brick", "outer_floor": "wet_ground"}
     mesh = Body.of_building("yard", row.mesh.translated(POSITION), materials)
-    (faces,) = (faces for faces in faces_of(mesh) if faces.surface == "outer_floor")
+    (faces,) = (faces for faces in mesh.faces if faces.surface == "outer_floor")
     assert faces.material == "wet_ground" and (faces.triangle == np.flatnonzero(floor)).all() and floor.any()
-    unnamed = faces_of(Body.of_building("yard", row.mesh))
+    unnamed = Body.of_building("yard", row.mesh).faces
     assert {f.surface: f.material for f in unnamed}["outer_floor"] == "medium_dry_ground"
     lines = obj([mesh], frame, "yard.mtl").decode().splitlines()
     start = lines.index("# outer_floor yard")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.faces import doubled_area
+from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
@@ -84,13 +84,8 @@ def on_common_floors(
     return result
 
 
-def area_vector(point: np.ndarray, rings: Iterable[Sequence[int]]) -> np.ndarray:
-    """The vector along a polygon's outward normal with the length of its area."""
-    return np.sum([doubled_area(point[ring]) for ring in rings], axis=0) / 2
-
-
 def area_vectors(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
-    """(f, 3), those of faces."""
+    """(f, 3), the vectors along the outward normals of at least one face, with the lengths of their areas (Newell)."""
     rings = [ring for face in faces for ring in face.rings]
     num_corners = np.array([len(ring) for ring in rings])
     first = np.cumsum(num_corners) - num_corners
@@ -162,7 +157,7 @@ def weld(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> np.n
         changed = list(map(len, rings)) != list(map(len, face.rings))
         if face.triangles is not None:
             corner = face.triangles = representative[face.triangles]
-            if changed or (corner == np.roll(corner, 1, 1)).any():
+            if changed or (corner == corner[:, NEXT]).any():
                 face.triangles = None
         face.rings = [ring for ring in rings if ring]
     return point

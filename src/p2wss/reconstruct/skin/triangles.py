@@ -10,7 +10,7 @@ import shapely
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT, doubled_plan_areas
 from p2wss.reconstruct.skin.party_walls import NotJoined
-from p2wss.reconstruct.skin.solids import Face, area_vector
+from p2wss.reconstruct.skin.solids import Face, area_vectors
 from p2wss.skeleton.groups import groups
 
 # areas of triangles may add up to this much less or more than their face
@@ -24,7 +24,7 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.nda
     corner. Raises :class:`NotJoined` if a face is no polygon.
     """
     pending = [face for face in faces if face.triangles is None]
-    planes = [_in_plane(point, face) for face in pending]
+    planes = _in_planes(point, pending) if pending else []
     polygons = [shapely.Polygon(*_coordinates(p, face)) for p, face in zip(planes, pending, strict=True)]
     try:
         pieces = delaunay(polygons)
@@ -123,17 +123,18 @@ def _pair_around(point: np.ndarray, triangle: np.ndarray, halves: np.ndarray, tw
         twin[halves[back]], twin[halves[forth]] = halves[forth], halves[back]
 
 
-def _in_plane(point: np.ndarray, face: Face) -> dict[int, tuple[float, float]]:
-    """Coordinates of the points of a face in its plane, seen from outside."""
-    normal = area_vector(point, face.rings)
-    normal /= max(float(np.linalg.norm(normal)), 1e-12)
-    axis = np.eye(3)[int(np.abs(normal).argmin())]
-    u = np.cross(axis, normal)
-    u /= np.linalg.norm(u)
-    used = sorted({v for ring in face.rings for v in ring})
-    local = point[used] - point[used[0]]
-    plane = np.column_stack([local @ u, local @ np.cross(normal, u)]).tolist()
-    return {v: (x, y) for v, (x, y) in zip(used, plane, strict=True)}
+def _in_planes(point: np.ndarray, faces: Sequence[Face]) -> list[dict[int, tuple[float, float]]]:
+    """Coordinates of the points of each face in its plane, seen from outside."""
+    normal = area_vectors(point, faces)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    result = []
+    for face, axes in zip(faces, np.stack([across, np.cross(normal, across)], axis=2), strict=True):
+        used = sorted({v for ring in face.rings for v in ring})
+        place_m = ((point[used] - point[used[0]]) @ axes).tolist()
+        result.append({v: (x, y) for v, (x, y) in zip(used, place_m, strict=True)})
+    return result
 
 
 def _coordinates(
