@@ -9,7 +9,7 @@ import numpy as np
 from p2wss.mesh.meeting import turned_over, with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.topology import NEXT
-from p2wss.mesh.triangulation import triangulated
+from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton.types import FaceKind
 
 # corners nearer to lines of walls are on them; planes of which a corner stays further than the second figure, or moves
@@ -60,17 +60,11 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
 def _with_wide_triangles(mesh: Mesh) -> Mesh:
     """The mesh whose faces are divided by constrained Delaunay triangulation; the mesh itself if a face is no valid
     polygon, or has a vertex within."""
-    vertex = [ring for surface in mesh.surfaces for ring in surface.rings]
-    ring = np.repeat(np.arange(len(vertex)), [len(each) for each in vertex])
+    rings = [ring for surface in mesh.surfaces for ring in surface.rings]
     face_of_ring = np.repeat(np.arange(len(mesh.surfaces)), [len(surface.rings) for surface in mesh.surfaces])
     first = np.unique(mesh.face, return_index=True)[1]
     normal = mesh.planes.normal[mesh.planes.number[first]]
-    across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
-    across /= np.linalg.norm(across, axis=1)[:, None]
-    axes = np.stack([across, np.cross(normal, across)], axis=1)[face_of_ring[ring]]
-    corner = np.concatenate(vertex)
-    place_m = (axes @ (mesh.vertex_m[corner] - mesh.vertex_m[0])[..., None])[..., 0]
-    triangle, face = triangulated(place_m, corner, ring, face_of_ring)
+    triangle, face = triangulated_in_space(mesh.vertex_m, rings, face_of_ring, normal)
     if len(triangle) != len(mesh.triangle):
         return mesh
     return Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])

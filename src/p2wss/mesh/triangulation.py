@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import shapely
 
@@ -28,3 +30,19 @@ def triangulated(
     vertex_at = dict(zip(of_corner, vertex.tolist(), strict=True))
     of_place = zip(np.repeat(face, 3).tolist(), map(tuple, corner_m.reshape(-1, 2).tolist()), strict=True)
     return np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3), face
+
+
+def triangulated_in_space(
+    point_m: np.ndarray,
+    rings: Sequence[Sequence[int] | np.ndarray],
+    face_of_ring: np.ndarray,
+    normal: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same of rings of points (v, 3), at least one. normal: (f, 3), the unit normals of the faces."""
+    corner = np.concatenate(rings)
+    ring = np.repeat(np.arange(len(rings)), [len(each) for each in rings])
+    across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    axes = np.stack([across, np.cross(normal, across)], axis=1)[face_of_ring[ring]]
+    place_m = (axes @ (point_m[corner] - point_m[0])[..., None])[..., 0]
+    return triangulated(place_m, corner, ring, face_of_ring)

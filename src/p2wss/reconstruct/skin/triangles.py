@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import shapely
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import NEXT, doubled_plan_areas
+from p2wss.mesh.topology import NEXT, doubled_areas
+from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.reconstruct.skin.party_walls import NotJoined
 from p2wss.reconstruct.skin.solids import Face, area_vectors
 from p2wss.skeleton.groups import groups
@@ -24,19 +24,18 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.nda
     corner. Raises :class:`NotJoined` if a face is no polygon.
     """
     pending = [face for face in faces if face.triangles is None]
-    planes = _in_planes(point, pending) if pending else []
-    polygons = [shapely.Polygon(*_coordinates(p, face)) for p, face in zip(planes, pending, strict=True)]
-    try:
-        pieces = delaunay(polygons)
-    except shapely.errors.GEOSException as error:
-        raise NotJoined(f"a face is no polygon: {error}") from error
-    for face, plane, polygon, corner in zip(pending, planes, polygons, pieces, strict=True):
-        number = {place: v for v, place in plane.items()}
-        if len(number) < len(plane):
-            raise NotJoined("two points at one place of a face")
-        if abs(doubled_plan_areas(corner).sum() / 2 - polygon.area) > _AREA_M2:
-            raise NotJoined("triangles do not make up their face")
-        face.triangles = numbered(corner, number)
+    if pending:
+        rings = [ring for face in pending for ring in face.rings]
+        face_of_ring = np.repeat(np.arange(len(pending)), [len(face.rings) for face in pending])
+        normal = area_vectors(point, pending)
+        area_m2 = np.linalg.norm(normal, axis=1)
+        normal /= np.maximum(area_m2, 1e-12)[:, None]
+        triangle, number = triangulated_in_space(point, rings, face_of_ring, normal)
+        doubled_m2 = (doubled_areas(point[triangle]) * normal[number]).sum(axis=1)
+        if np.abs(np.bincount(number, doubled_m2 / 2, len(pending)) - area_m2).max() > _AREA_M2:
+            raise NotJoined("a face is no polygon")
+        for k, face in enumerate(pending):
+            face.triangles = triangle[number == k]
     parts = [np.zeros((0, 3), int) if face.triangles is None else face.triangles for face in faces]
     sizes = [len(part) for part in parts]
     kind, label, building = (
@@ -44,21 +43,6 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.nda
         for name, dtype in (("kind", np.uint8), ("label", np.int32), ("building", np.int32))
     )
     return Mesh(point, np.concatenate(parts).astype(np.int32), kind, label), building
-
-
-def delaunay(polygons: Sequence[shapely.Polygon]) -> list[np.ndarray]:
-    """The triangles of polygons, (t, 3, 2) each, counter-clockwise, by constrained Delaunay triangulation."""
-    result = []
-    for piece in shapely.constrained_delaunay_triangles(np.array(polygons, object)):
-        corner = shapely.get_coordinates(piece).reshape(-1, 4, 2)[:, :3]
-        is_turned = doubled_plan_areas(corner) < 0
-        result.append(np.where(is_turned[:, None, None], corner[:, ::-1], corner))
-    return result
-
-
-def numbered(corner: np.ndarray, number: dict[tuple[float, float], int]) -> np.ndarray:
-    """Triangles (t, 3, 2) as numbers of their corners, int (t, 3)."""
-    return np.array([[number[x, y] for x, y in rows] for rows in corner.tolist()], int).reshape(-1, 3)
 
 
 def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,24 +105,3 @@ def _pair_around(point: np.ndarray, triangle: np.ndarray, halves: np.ndarray, tw
         around = np.roll(around, -1)
     for back, forth in around.reshape(-1, 2):
         twin[halves[back]], twin[halves[forth]] = halves[forth], halves[back]
-
-
-def _in_planes(point: np.ndarray, faces: Sequence[Face]) -> list[dict[int, tuple[float, float]]]:
-    """Coordinates of the points of each face in its plane, seen from outside."""
-    normal = area_vectors(point, faces)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-    across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
-    across /= np.linalg.norm(across, axis=1)[:, None]
-    result = []
-    for face, axes in zip(faces, np.stack([across, np.cross(normal, across)], axis=2), strict=True):
-        used = sorted({v for ring in face.rings for v in ring})
-        place_m = ((point[used] - point[used[0]]) @ axes).tolist()
-        result.append({v: (x, y) for v, (x, y) in zip(used, place_m, strict=True)})
-    return result
-
-
-def _coordinates(
-    plane: dict[int, tuple[float, float]], face: Face
-) -> tuple[list[tuple[float, float]], list[list[tuple[float, float]]]]:
-    rings = [[plane[v] for v in ring] for ring in face.rings]
-    return rings[0], rings[1:]
