@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import TypeVar
+
+import numpy as np
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -15,36 +19,55 @@ T = TypeVar("T")
 def in_processes(
     function: Callable[[Sequence[S]], list[T]], values: Sequence[S], num_processes: int
 ) -> list[T]:
-    """``function(values)``, of which each value has one result, computed in ``num_processes`` shares: the first by this
-    process, the others by forks of it, which have all that it has in memory. A fork lacks the threads of torch.
+    """``function(values)``, of which each value has one result, computed by this process and forks of it, which have
+    all that it has in memory: ``num_processes`` in all, each of which takes the next value that none has taken. A fork
+    lacks the threads of torch.
 
     An error of the function is raised here, too. Raises ``EOFError`` if a fork is killed.
     """
-    result: list[T] = [None] * len(values)  # type: ignore[list-item]
+    num_processes = min(num_processes, len(values))
+    if num_processes < 2:
+        return function(values)
     context = get_context("fork")
-    receivers = {}
-    for first in range(1, min(num_processes, len(values))):
-        receivers[first], sender = context.Pipe(duplex=False)
-        arguments = (receivers[first], sender, function, values[first::num_processes])
+    # a pipe gives each of its numbers to one reader, whichever comes first
+    numbers, source = os.pipe()
+    os.write(source, np.arange(len(values), dtype="<u2").tobytes())
+    os.close(source)
+    receivers = []
+    for _ in range(1, num_processes):
+        receiver, sender = context.Pipe(duplex=False)
+        arguments = (receiver, sender, function, values, numbers)
         # a daemon ends with this process
         context.Process(target=_send, args=arguments, daemon=True).start()
         sender.close()
-    result[::num_processes] = function(values[::num_processes])
-    for first, receiver in receivers.items():
+        receivers.append(receiver)
+    result = _taken(function, values, numbers)
+    os.close(numbers)
+    for receiver in receivers:
         share = receiver.recv()
         if isinstance(share, Exception):
             raise share
-        result[first::num_processes] = share
-    return result
+        result |= share
+    return [result[number] for number in range(len(values))]
+
+
+def _taken(function: Callable[[Sequence[S]], list[T]], values: Sequence[S], numbers: int) -> dict[int, T]:
+    """The results of the values that this process takes, by their numbers."""
+    taken = (int.from_bytes(content, "little") for content in iter(partial(os.read, numbers, 2), b""))
+    return {number: function([values[number]])[0] for number in taken}
 
 
 def _send(
-    receiver: Connection, sender: Connection, function: Callable[[Sequence[S]], list[T]], values: Sequence[S]
+    receiver: Connection,
+    sender: Connection,
+    function: Callable[[Sequence[S]], list[T]],
+    values: Sequence[S],
+    numbers: int,
 ) -> None:
     # without a reader, the pipe of a process that was killed is broken, and this one ends
     receiver.close()
     with suppress(KeyboardInterrupt, BrokenPipeError):
         try:
-            sender.send(function(values))
+            sender.send(_taken(function, values, numbers))
         except Exception as error:
             sender.send(error)
