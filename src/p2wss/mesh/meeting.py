@@ -68,11 +68,10 @@ def with_meeting_planes(
         is_wrong = np.isin(parts, part[len(row) :][is_off])
         together = np.where(is_wrong, np.cumsum(size_of * is_wrong) // _TOGETHER, -1)[part]
         for number in np.unique(together[together >= 0]):
-            is_own, is_at = np.split(together == number, [len(row)])
-            is_own &= moves
-            here = np.flatnonzero((is_own[of_slot] & is_there).any(axis=1) | is_at)
-            places = vertex_m[here], of_slot[here], is_there[here]
-            vertex_m[here] = _met(row, base, scale, change, is_own, *places)
+            is_own = moves & (together[: len(row)] == number)
+            is_here = (is_own[of_slot] & is_there).any(axis=1) | (together[len(row) :] == number)
+            places = vertex_m[is_here], of_slot[is_here], is_there[is_here]
+            vertex_m[is_here] = _met(row, base, scale, change, is_own, *places)
     apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
     moved_m = vertex_m[place]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M

@@ -60,11 +60,11 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
 def _with_wide_triangles(mesh: Mesh) -> Mesh:
     """The mesh whose faces are divided by constrained Delaunay triangulation; the mesh itself if a face is no valid
     polygon, or has a vertex within."""
-    rings = [ring for surface in mesh.surfaces for ring in surface.rings]
-    face_of_ring = np.repeat(np.arange(len(mesh.surfaces)), [len(surface.rings) for surface in mesh.surfaces])
     first = np.unique(mesh.face, return_index=True)[1]
     normal = mesh.planes.normal[mesh.planes.number[first]]
-    triangle, face = triangulated_in_space(mesh.vertex_m, rings, face_of_ring, normal)
+    triangle, face = triangulated_in_space(
+        mesh.vertex_m, [surface.rings for surface in mesh.surfaces], normal
+    )
     if len(triangle) != len(mesh.triangle):
         return mesh
     return Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])

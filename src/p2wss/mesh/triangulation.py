@@ -33,14 +33,12 @@ def triangulated(
 
 
 def triangulated_in_space(
-    point_m: np.ndarray,
-    rings: Sequence[Sequence[int] | np.ndarray],
-    face_of_ring: np.ndarray,
-    normal: np.ndarray,
+    point_m: np.ndarray, faces: Sequence[Sequence[Sequence[int] | np.ndarray]], normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of rings of points (v, 3), at least one. normal: (f, 3), the unit normals of the faces."""
-    corner = np.concatenate(rings)
-    ring = np.repeat(np.arange(len(rings)), [len(each) for each in rings])
+    """The same of the rings of faces, at least one, of points (v, 3). normal: (f, 3), the unit normals of the faces."""
+    rings = [ring for face in faces for ring in face]
+    face_of_ring = np.repeat(np.arange(len(faces)), list(map(len, faces)))
+    corner, ring = np.concatenate(rings), np.repeat(np.arange(len(rings)), list(map(len, rings)))
     across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
     across /= np.linalg.norm(across, axis=1)[:, None]
     axes = np.stack([across, np.cross(normal, across)], axis=1)[face_of_ring[ring]]

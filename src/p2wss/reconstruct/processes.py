@@ -36,9 +36,8 @@ def in_processes(
     receivers = []
     for _ in range(1, num_processes):
         receiver, sender = context.Pipe(duplex=False)
-        arguments = (receiver, sender, function, values, numbers)
         # a daemon ends with this process
-        context.Process(target=_send, args=arguments, daemon=True).start()
+        context.Process(target=_send, args=(receiver, sender, function, values, numbers), daemon=True).start()
         sender.close()
         receivers.append(receiver)
     result = _taken(function, values, numbers)

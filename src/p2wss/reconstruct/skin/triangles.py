@@ -25,12 +25,10 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.nda
     """
     pending = [face for face in faces if face.triangles is None]
     if pending:
-        rings = [ring for face in pending for ring in face.rings]
-        face_of_ring = np.repeat(np.arange(len(pending)), [len(face.rings) for face in pending])
         normal = area_vectors(point, pending)
         area_m2 = np.linalg.norm(normal, axis=1)
         normal /= np.maximum(area_m2, 1e-12)[:, None]
-        triangle, number = triangulated_in_space(point, rings, face_of_ring, normal)
+        triangle, number = triangulated_in_space(point, [face.rings for face in pending], normal)
         doubled_m2 = (doubled_areas(point[triangle]) * normal[number]).sum(axis=1)
         if np.abs(np.bincount(number, doubled_m2 / 2, len(pending)) - area_m2).max() > _AREA_M2:
             raise NotJoined("a face is no polygon")
