@@ -9,6 +9,7 @@ from kernel_unions import union
 from p2wss import skeleton
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
+from p2wss.mesh.meeting import with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
 from p2wss.skeleton import FaceKind, Polygons
 
@@ -47,6 +48,21 @@ def test_bent_roofs_become_planes_and_walls_stay() -> None:
     assert is_corner.sum() == 8 and (exact.vertex_m[is_corner, :2] == bent[is_corner, :2]).all()
     assert np.abs(exact.vertex_m - bent).max() < 0.02
     assert (exact.vertex_m[bent[:, 2] == 0, 2] == 0).all()
+
+
+def test_roofs_far_from_each_other_are_as_alone() -> None:
+    draw, houses = np.random.default_rng(1), []
+    for number in range(40):
+        mesh = hip().translated([20.0 * number, 0, 0])
+        bent_m = draw.uniform(-9e-3, 9e-3, len(mesh.vertex_m)) * (mesh.vertex_m[:, 2] > 1) * (number != 7)
+        houses.append(mesh.moved(mesh.vertex_m + bent_m[:, None] * [0, 0, 1]))
+    together = Mesh.joined(houses)
+    moved, apart_m = with_meeting_planes(together, np.arange(len(together.vertex_m)))
+    assert apart_m.max() < 1e-6
+    for house, vertex_m in zip(houses, np.split(moved.vertex_m, len(houses)), strict=True):
+        alone, _ = with_meeting_planes(house, np.arange(len(house.vertex_m)))
+        assert np.abs(vertex_m - alone.vertex_m).max() < 1e-9
+    assert (moved.vertex_m.reshape(40, -1, 3)[7] == houses[7].vertex_m).all()
 
 
 def test_planes_stay_as_they_are_to_the_bit() -> None:
