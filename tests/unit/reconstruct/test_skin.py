@@ -213,6 +213,19 @@ def test_four_houses_around_a_point(heights: tuple[float, ...]) -> None:
     assert (len(np.unique(centre, axis=0)) < len(centre)) == opposite
 
 
+def test_houses_that_touch_in_an_edge_between_others() -> None:
+    """Two opposite houses are joined below the edge by a low one, and above it by one whose floor is as high: the edge
+    has a point within, so that the walls at it have edges of their own."""
+    places = {"sw": (0, 0, 0.0, 6.0), "ne": (5, 5, 0.0, 6.0), "se": (5, 0, 0.0, 2.0), "nw": (0, 5, 4.0, 4.0)}
+    (skin,) = exact(
+        [
+            solid(name, shapely.box(x, y, x + 5, y + 5), height_m, ground_z_m=floor_m)
+            for name, (x, y, floor_m, height_m) in places.items()
+        ]
+    )
+    assert (skin.mesh.vertex_m == [5, 5, 3]).all(axis=1).sum() == 2
+
+
 @given(
     heights=st.lists(st.sampled_from([3.0, 3.06, 3.3, 4.0, 5.0]), min_size=12, max_size=12),
     roofs=st.lists(st.sampled_from([0, 30, 45, 90]), min_size=12, max_size=12),
