@@ -192,6 +192,14 @@ def test_a_garage_within_a_wall() -> None:
     assert wall_area(skin, "house") == pytest.approx(2 * (12 + 9) * 7 - 4 * 3)
 
 
+def test_walls_shift_to_the_corner_beside_them() -> None:
+    """A house stands 2 cm behind the front of its neighbour: both have one front."""
+    solids = [solid("a", shapely.box(0, 0, 6, 8), 4), solid("b", shapely.box(6, 0.02, 12, 9), 6)]
+    (skin,) = exact(solids, merged_m3=1.0)
+    assert skin.mesh.edge_m.min() > 0.9
+    assert len(np.unique(skin.mesh.vertex_m[skin.mesh.vertex_m[:, 1] < 1, 1].round(6))) == 1
+
+
 def test_buildings_that_touch_in_a_corner_stay_apart() -> None:
     solids = [solid("a", shapely.box(0, 0, 5, 5), 4), solid("b", shapely.box(5, 5, 9, 9), 6)]
     assert [skin.building_ids for skin in exact(solids)] == [("a",), ("b",)]

@@ -105,6 +105,6 @@ def _skin(
     failure: str | None = None,
 ) -> Skin:
     mesh = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
-    exact = with_exact_faces(sheets(mesh))
+    exact = with_exact_faces(sheets(mesh), walls_stay=len(building_ids) == 1)
     building = np.array([face.building for face in faces], np.int32)[exact.label]
     return Skin(tuple(building_ids), exact.translated(origin), building, failure)
