@@ -8,7 +8,8 @@ CityJSON for faces and validity, OBJ for triangles, the table of wedges. ``--kee
 measured again. Only whether solids are valid is decided by code of the package.
 
 * A *fold* is an edge whose triangles turn by 0.1 to 5 degrees. One of a skin counts if the buildings by themselves have
-  none at its place; between two buildings it may be true, as roofs of neighbours may differ by so little.
+  none at its place, or above it where a floor was lowered with its walls; between two buildings it may be true, as
+  roofs of neighbours may differ by so little.
 * What coordinates in tenths of a millimetre explain counts neither as a fold nor as a tilt nor as a wrong angle.
 * A wall is *along the footprint* if it is turned by less than 0.1 degrees from an edge of the input beside it; walls
   away from the footprint do not count.
@@ -50,6 +51,8 @@ ROUNDED_M, SAME_M = 2e-4, 3e-3
 STEEPEST_ROOF_NZ = 0.05
 # a wall's middle is nearer than this to the edge of the footprint beside it
 BESIDE_M = 0.5
+# a skin's floors are lowered by at most this
+LOWERED_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,9 @@ def new_folds(skin: Edges, parts: Edges) -> np.ndarray:
     place, line = shapely.STRtree(lines).query(shapely.points(middle[:, :2]), "dwithin", SAME_M)
     along = ends[line, 1] - ends[line, 0]
     share = ((middle[place] - ends[line, 0]) * along).sum(axis=1) / (along**2).sum(axis=1)
-    foot = ends[line, 0] + np.clip(share, 0, 1)[:, None] * along
+    length_m = np.linalg.norm(along, axis=1)
+    more = np.where(np.hypot(*along[:, :2].T) < SAME_M, LOWERED_M / length_m, 0.0)
+    foot = ends[line, 0] + np.clip(share, -more, 1 + more)[:, None] * along
     result[rows[place[np.linalg.norm(foot - middle[place], axis=1) < SAME_M]]] = False
     return result
 

@@ -28,6 +28,8 @@ _STRAIGHT_M, _MAX_INNER, _NUM_ROUNDS = 5e-3, 8, 6
 _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
 # of the angle between walls of which it is known where they meet
 _MIN_SINE = 0.2
+# a narrower overlap is rounding; a wider one is of two records of a house, those between of neighbours with a wall
+_MIN_OVERLAP_M, _MAX_OVERLAP_M = 2e-3, 0.5
 
 
 def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
@@ -43,8 +45,8 @@ def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
 
     shapes: valid polygons. settings: of which ``snap_m``, ``simplify_m`` and ``min_edge_m`` count. Exteriors become
     counter-clockwise, courtyards clockwise. Shared walls have the same lines, and corners of both sides are
-    bit-identical. The result for a polygon depends on its block only, and not on the order of the polygons. Never
-    raises for valid polygons.
+    bit-identical. Neighbours that overlap by up to half a metre are divided; wider overlaps remain. The result for a
+    polygon depends on its block only, and not on the order of the polygons. Never raises for valid polygons.
     """
     result = np.full(len(shapes), None, dtype=object)
     if not len(shapes):
@@ -59,7 +61,10 @@ def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
         rows = pending.pop()
         polygons, is_whole = _clean(shapes[rows], origin[block[rows]], block[rows], settings)
         if is_whole.all():
-            result[rows] = polygons
+            shapes[rows], is_divided = _divided(shapes[rows], polygons, settings.snap_m)
+            again = np.isin(block[rows], block[rows[is_divided]])
+            result[rows[~again]] = polygons[~again]
+            pending += [rows[again]] if again.any() else []
             continue
         # blocks that lose a polygon are cleaned again without it
         loses = np.isin(block[rows], block[rows[~is_whole]])
@@ -109,6 +114,37 @@ def _clean(
     xy_m = rings.straightened(refitted_m)
     result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
     return polygon_arrays.to_geometries(result), is_accepted(result)
+
+
+def _divided(shapes: np.ndarray, cleaned: np.ndarray, snap_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """(the polygons without what two of them have in common, whether each is one of two such) where cleaned ones still
+    overlap, nowhere wider than half a metre. The common area goes to one of both, so that fewer corners are left."""
+    first, second = shapely.STRtree(cleaned).query(cleaned, predicate="intersects")
+    is_pair = (first < second) & _is_wide(
+        shapely.intersection(cleaned[first], cleaned[second]), _MIN_OVERLAP_M
+    )
+    shapes, is_divided = shapes.copy(), np.zeros(len(shapes), bool)
+    for pair in np.unique(np.column_stack([first, second])[is_pair], axis=0):
+        common = shapely.intersection(*shapes[pair])
+        # beside overlaps that the snapping closes, spikes would be left
+        rest = _buffered(_buffered(shapely.difference(shapes[pair], common), -snap_m / 2), snap_m / 2)
+        rest = np.array([max(shapely.get_parts(each), key=shapely.area) for each in rest])
+        is_left = (shapely.area(rest) > shapely.area(shapes[pair]) / 2).all()
+        if is_left and _is_wide(common, _MIN_OVERLAP_M) and not _is_wide(common, _MAX_OVERLAP_M):
+            loses = (shapely.get_num_coordinates(rest) - shapely.get_num_coordinates(shapes[pair])).argmin()
+            shapes[pair[loses]] = shapely.orient_polygons(rest[loses])
+            is_divided[pair] = True
+    return shapes, is_divided
+
+
+def _buffered(shapes: np.ndarray, distance_m: float) -> np.ndarray:
+    """The polygons with their edges moved outwards."""
+    return np.asarray(shapely.buffer(shapes, distance_m, join_style="mitre"))
+
+
+def _is_wide(shapes: np.ndarray, width_m: float) -> np.ndarray:
+    """Whether a circle of such a diameter is within each polygon, bool (n,)."""
+    return ~shapely.is_empty(shapely.buffer(shapes, -width_m / 2))
 
 
 def is_accepted(polygons: Polygons) -> np.ndarray:

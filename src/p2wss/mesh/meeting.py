@@ -27,20 +27,23 @@ _NO_AREA_M2 = 1e-6
 
 
 def with_meeting_planes(
-    mesh: Mesh, place: np.ndarray, more: Collection[tuple[int, int]] = ()
+    mesh: Mesh,
+    place: np.ndarray,
+    more: Collection[tuple[int, int]] = (),
+    free: Collection[int] = (),
 ) -> tuple[Mesh, np.ndarray]:
     """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
     planes of each vertex are from it, (v,), where they cannot).
 
     place: int (v,): vertices of one number become one point. more: (vertex, plane of ``mesh.planes``), further planes
-    through the places of vertices. Roofs may tilt, walls between roofs shift; floors and the walls on them stay.
-    Conditions are linear in the changes of the planes while vertices stay; as they follow their planes, the least
-    squares are solved a few times.
+    through the places of vertices. Roofs may tilt, walls between roofs shift; floors and the walls on them stay, but
+    for those planes that are ``free`` to shift, too. Conditions are linear in the changes of the planes while vertices
+    stay; as they follow their planes, the least squares are solved a few times.
     """
     planes = mesh.planes
     num = len(planes.kind)
     corner = np.column_stack(np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num))
-    row, base, scale = _equations(mesh, corner)
+    row, base, scale = _equations(mesh, corner, free)
     _, place = np.unique(place, return_inverse=True)
     pairs = np.concatenate([corner, np.array(list(more), int).reshape(-1, 2)])
     at, plane = np.divmod(np.unique(place[pairs[:, 0]] * num + pairs[:, 1]), num)
@@ -116,7 +119,9 @@ def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
-def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _equations(
+    mesh: Mesh, corner: np.ndarray, free: Collection[int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(row (p, 3), base (p, 3), scale (p, 3, 3)) of planes: those points are on one whose distance from its base point
     has no product with the row. For roofs, the row is the slopes and -1, for others the normal. A change of a plane,
     times the scale, is one of the slopes and the offset; so scaled, it is as long as that of its vertices' heights.
@@ -142,8 +147,10 @@ def _equations(mesh: Mesh, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
     # walls shift only, unless they stand on a floor
     on_floor = np.unique(vertex[planes.kind[plane] == FaceKind.GROUND])
-    stays = planes.kind == FaceKind.GROUND
+    stays = np.zeros(len(size), bool)
     stays[plane[np.isin(vertex, on_floor)]] = True
+    stays[list(free)] = False
+    stays[planes.kind == FaceKind.GROUND] = True
     scale[~is_roof] = 0
     scale[~is_roof, 2, 2] = np.where(stays, 0, 1 / np.sqrt(size))[~is_roof]
     return row, base, scale

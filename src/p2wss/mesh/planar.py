@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -25,12 +26,13 @@ _NO_HEIGHT_M = 1e-3
 _NARROW = 0.02
 
 
-def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
+def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool = True) -> Mesh:
     """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible, and
     without those edges shorter than ``short_m`` that can go, the shortest first.
 
-    An edge goes if the planes at both its ends can meet in one point, and the mesh stays a manifold. With slivers, the
-    faces are divided anew.
+    An edge goes if the planes at both its ends, or those that are left without it, can meet in one point, and the mesh
+    stays a manifold. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are divided
+    anew.
     """
     straight = _with_straight_walls(mesh)
     each = np.arange(len(mesh.vertex_m))
@@ -45,11 +47,16 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
                 continue
             each = np.arange(len(mesh.vertex_m))
             each[gone] = end
-            moved = _met(mesh, each, short_m)
-            result = None if moved is None else _merged(moved, end, gone)
+            free = () if walls_stay else {*mesh.planes.at[end]} ^ {*mesh.planes.at[gone]}
+            moved = _met(mesh, each, short_m, free)
+            if moved is None:
+                merged = _merged(mesh, end, gone)
+                result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
+            else:
+                result = _merged(moved, end, gone)
             if result is not None and _is_thin(result).sum() > _is_thin(mesh).sum():
                 # the other end of a step that went, or a vertex that a wall now passes through
-                result = with_exact_faces(_flipped(result), _NO_HEIGHT_M)
+                result = with_exact_faces(_flipped(result), _NO_HEIGHT_M, walls_stay)
                 result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
             if result is not None:
                 break
@@ -70,15 +77,14 @@ def _with_wide_triangles(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
 
 
-def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0) -> Mesh | None:
+def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collection[int] = ()) -> Mesh | None:
     """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`); None if no change of
     centimetres does that."""
-    moved, apart_m = with_meeting_planes(mesh, place)
+    moved, apart_m = with_meeting_planes(mesh, place, free=free)
     move_m = np.abs(moved.vertex_m - mesh.vertex_m)
-    # the walls on floors stay
-    is_far = (
-        move_m.max() > max(_MAX_MOVE_M, max_move_m)
-        or move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+    # the walls on floors stay where they are not free
+    is_far = move_m.max() > max(_MAX_MOVE_M, max_move_m) or (
+        not free and move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
     )
     num_turned = [turned_over(each, mesh).sum() for each in (mesh, moved)]
     return None if is_far or apart_m.max() > _PLANAR_M or num_turned[1] > num_turned[0] else moved

@@ -1,4 +1,4 @@
-"""Blocks of the registration: footprints that share walls and move together, and the edges of a block that are free."""
+"""Blocks of the registration: footprints that touch and move together, and the edges of a block that are free."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from p2wss.data import polygon_arrays
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import Polygons
 
-# footprints closer than this share a wall, if they are so over at least the length
+# footprints closer than this touch
 WALL_GAP_M = 0.01
-_WALL_LENGTH_M = 0.5
 # footprints that overlap deeper than this are no neighbours but two that lie wrong
 _MAX_OVERLAP_M = 0.01
 # corners of outlines that change nothing
@@ -65,8 +64,8 @@ def find_blocks(footprints: np.ndarray) -> Blocks:
 def connected(shapes: np.ndarray) -> np.ndarray:
     """The block of each polygon, int64, numbered in the order of their first polygons.
 
-    Two polygons are of one block where they share a wall: where they are nearer than ``WALL_GAP_M`` over at least half
-    a metre and overlap by less than 1 cm. Polygons that meet in a corner are not.
+    Two polygons are of one block if they touch, in a corner at least: are nearer than ``WALL_GAP_M`` and overlap by
+    less than 1 cm. So no shift moves one into the other, or away from it.
     """
     wide = shapely.buffer(shapes, WALL_GAP_M / 2, join_style="mitre", mitre_limit=2.0)
     first, second = shapely.STRtree(wide).query(wide, predicate="intersects")
@@ -74,8 +73,8 @@ def connected(shapes: np.ndarray) -> np.ndarray:
     contact = shapely.intersection(wide[first], wide[second])
     length = shapely.length(contact) / 2
     width = shapely.area(contact) / np.maximum(length, 1e-9)
-    is_wall = (length >= _WALL_LENGTH_M + WALL_GAP_M) & (width <= WALL_GAP_M + _MAX_OVERLAP_M)
-    return groups(len(shapes), np.column_stack([first[is_wall], second[is_wall]]))
+    touches = width <= WALL_GAP_M + _MAX_OVERLAP_M
+    return groups(len(shapes), np.column_stack([first[touches], second[touches]]))
 
 
 def _outline(shapes: np.ndarray) -> np.ndarray:

@@ -177,6 +177,18 @@ def test_a_short_edge_shrinks_to_the_corner_where_walls_meet() -> None:
     assert corners(a) == corners(shapely.box(0, 0, 6, 8)) and corners(b) == corners(right)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_neighbours_that_overlap_are_divided_where_fewer_corners_are_left(turned: bool) -> None:
+    """A house in front of two reaches into them by up to 0.4 m, and keeps its wall: they end at it."""
+    front = shapely.Polygon([(1, -8), (11, -8), (11, 0.4), (1, 0)])
+    left, right = shapely.box(0, 0, 6, 8), shapely.box(6, 0, 12, 8)
+    shapes = [moved(shape) for shape in (front, left, right)][:: -1 if turned else 1]
+    result = clean(shapes, Scenes())
+    assert overlap_m2(result) == 0
+    assert sum(shape.area for shape in result) == pytest.approx(shapely.union_all(shapes).area, abs=0.1)
+    assert sum(wall_m(a, b) for a, b in combinations(result, 2)) == pytest.approx(8 + 10, abs=0.5)
+
+
 def test_real_overlaps_and_collapsing_footprints_are_no_error() -> None:
     """A roof over half a house, a duplicate, a strip narrower than the snap distance: each has a result or a reason."""
     house = shapely.box(0, 0, 10, 10)

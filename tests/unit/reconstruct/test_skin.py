@@ -192,6 +192,14 @@ def test_a_garage_within_a_wall() -> None:
     assert wall_area(skin, "house") == pytest.approx(2 * (12 + 9) * 7 - 4 * 3)
 
 
+def test_walls_shift_to_the_corner_beside_them() -> None:
+    """A house stands 2 cm behind the front of its neighbour: both have one front."""
+    solids = [solid("a", shapely.box(0, 0, 6, 8), 4), solid("b", shapely.box(6, 0.02, 12, 9), 6)]
+    (skin,) = exact(solids, merged_m3=1.0)
+    assert skin.mesh.edge_m.min() > 0.9
+    assert len(np.unique(skin.mesh.vertex_m[skin.mesh.vertex_m[:, 1] < 1, 1].round(6))) == 1
+
+
 def test_buildings_that_touch_in_a_corner_stay_apart() -> None:
     solids = [solid("a", shapely.box(0, 0, 5, 5), 4), solid("b", shapely.box(5, 5, 9, 9), 6)]
     assert [skin.building_ids for skin in exact(solids)] == [("a",), ("b",)]
@@ -211,6 +219,19 @@ def test_four_houses_around_a_point(heights: tuple[float, ...]) -> None:
         min(heights[0], heights[2]), min(heights[1], heights[3])
     )
     assert (len(np.unique(centre, axis=0)) < len(centre)) == opposite
+
+
+def test_houses_that_touch_in_an_edge_between_others() -> None:
+    """Two opposite houses are joined below the edge by a low one, and above it by one whose floor is as high: the edge
+    has a point within, so that the walls at it have edges of their own."""
+    places = {"sw": (0, 0, 0.0, 6.0), "ne": (5, 5, 0.0, 6.0), "se": (5, 0, 0.0, 2.0), "nw": (0, 5, 4.0, 4.0)}
+    (skin,) = exact(
+        [
+            solid(name, shapely.box(x, y, x + 5, y + 5), height_m, ground_z_m=floor_m)
+            for name, (x, y, floor_m, height_m) in places.items()
+        ]
+    )
+    assert (skin.mesh.vertex_m == [5, 5, 3]).all(axis=1).sum() == 2
 
 
 @given(

@@ -104,8 +104,7 @@ def _skin(
     origin: np.ndarray,
     failure: str | None = None,
 ) -> Skin:
-    mesh, building = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
-    vertex_m, triangle = sheets(mesh.vertex_m, mesh.triangle)
-    exact = with_exact_faces(replace(mesh, vertex_m=vertex_m, triangle=triangle.astype(np.int32)))
+    mesh = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
+    exact = with_exact_faces(sheets(mesh), walls_stay=len(building_ids) == 1)
     building = np.array([face.building for face in faces], np.int32)[exact.label]
     return Skin(tuple(building_ids), exact.translated(origin), building, failure)

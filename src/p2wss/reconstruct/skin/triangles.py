@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from p2wss.skeleton.groups import groups
 _AREA_M2 = 1e-3
 
 
-def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.ndarray]:
-    """(the mesh of faces, with their labels, the building of each of its triangles).
+def triangulated(point: np.ndarray, faces: Sequence[Face]) -> Mesh:
+    """The mesh of faces, with their labels.
 
     Faces without triangles get those of a constrained Delaunay triangulation, with every point of the rings as a
     corner. Raises :class:`NotJoined` if a face is no polygon.
@@ -36,21 +37,46 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.nda
             face.triangles = triangle[number == k]
     parts = [np.zeros((0, 3), int) if face.triangles is None else face.triangles for face in faces]
     sizes = [len(part) for part in parts]
-    kind, label, building = (
+    kind, label = (
         np.repeat(np.array([getattr(face, name) for face in faces], dtype), sizes)
-        for name, dtype in (("kind", np.uint8), ("label", np.int32), ("building", np.int32))
+        for name, dtype in (("kind", np.uint8), ("label", np.int32))
     )
-    return Mesh(point, np.concatenate(parts).astype(np.int32), kind, label), building
+    return Mesh(point, np.concatenate(parts).astype(np.int32), kind, label)
 
 
-def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (v, 3) and triangles (t, 3) of a closed surface in which every edge has two triangles and every point is
-    surrounded by one fan of triangles.
+def sheets(mesh: Mesh) -> Mesh:
+    """A closed surface in which every edge has two triangles and every point is surrounded by one fan of triangles.
 
-    Where two bodies meet in an edge or a point only, each gets points of its own there, at the same place. Raises
-    :class:`NotJoined` if the surface is not closed.
+    Where two bodies meet in an edge or a point only, each gets points of its own there, at the same place. An edge at
+    both of whose ends they are joined gets one within. Raises :class:`NotJoined` if the surface is not closed.
     """
-    triangle = triangle.astype(np.int64)
+    point, triangle, repeated = _fans(mesh.vertex_m, mesh.triangle.astype(np.int64))
+    if len(repeated):
+        for edge in repeated.tolist():
+            mesh = _with_middle(mesh, *edge)
+        point, triangle, repeated = _fans(mesh.vertex_m, mesh.triangle.astype(np.int64))
+    if len(repeated):
+        raise NotJoined("an edge with more than two faces")
+    return replace(mesh, vertex_m=point, triangle=triangle.astype(np.int32))
+
+
+def _with_middle(mesh: Mesh, start: int, end: int) -> Mesh:
+    """The mesh with the edge between two vertices divided in its middle."""
+    triangle, new = mesh.triangle, len(mesh.vertex_m)
+    has_edge = (triangle == start).any(axis=1) & (triangle == end).any(axis=1)
+    halves = [np.where((triangle == each) & has_edge[:, None], new, triangle) for each in (start, end)]
+    kind, label = (np.concatenate([each, each[has_edge]]) for each in (mesh.kind, mesh.label))
+    middle_m = mesh.vertex_m[[start, end]].mean(axis=0, keepdims=True)
+    return Mesh(
+        np.concatenate([mesh.vertex_m, middle_m]),
+        np.concatenate([halves[0], halves[1][has_edge]]),
+        kind,
+        label,
+    )
+
+
+def _fans(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(points, triangles, edges (n, 2) of the given points that more than two of these triangles have)."""
     start, end = triangle.ravel(), triangle[:, NEXT].ravel()
     size = len(point)
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -78,9 +104,10 @@ def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndar
     rank[position] = np.arange(len(fans))
     result = rank[renumbered].reshape(-1, 3)
     sides = np.column_stack([result.ravel(), result[:, NEXT].ravel()])
-    if len(np.unique(sides, axis=0)) < len(sides):
-        raise NotJoined("an edge with more than two faces")
-    return point[start[corner[position]]], result
+    _, side, count = np.unique(sides, axis=0, return_index=True, return_counts=True)
+    side = side[count > 1]
+    repeated = np.unique(np.column_stack([low[side], high[side]]), axis=0)
+    return point[start[corner[position]]], result, repeated
 
 
 def _pair_around(point: np.ndarray, triangle: np.ndarray, halves: np.ndarray, twin: np.ndarray) -> None:
