@@ -77,18 +77,17 @@ def fit_all_masked(
 ) -> MaskedParameters:
     """``reading`` (with visible signs) after the fit of the outlines and that of heights and angles.
 
-    A building keeps the height and the angles of its reading where the second pass has none.
+    A building keeps its reading where no outline has as many vertices, and the height and the angles of its reading
+    where the second pass has none.
     """
-    if not buildings:
-        return reading
-    xy_m = [
-        fitted_outline(reading_m, float(height_m), building.point_m, building.classification)
-        for building, reading_m, height_m in zip(buildings, reading.xy_m, reading.eave_height_m, strict=True)
-    ]
-    fitted = [replace(building, rings=[outline]) for building, outline in zip(buildings, xy_m, strict=True)]
-    rows = reconstruct_buildings(fitted, predictor, config)
-    height, angle = reading.eave_height_m.copy(), list(reading.angle_deg)
-    for i, row in enumerate(rows):
+    height, xy_m, angle = reading.eave_height_m.copy(), list(reading.xy_m), list(reading.angle_deg)
+    fitted = {}
+    for i, building in enumerate(buildings):
+        outline = fitted_outline(xy_m[i], float(height[i]), building.point_m, building.classification)
+        if outline is not None:
+            xy_m[i], fitted[i] = outline, replace(building, rings=[outline])
+    rows = reconstruct_buildings(list(fitted.values()), predictor, config) if fitted else []
+    for i, row in zip(fitted, rows, strict=True):
         if (
             row.eave_height_m is not None
             and row.angle_deg is not None
@@ -100,9 +99,9 @@ def fit_all_masked(
 
 def fitted_outline(
     reading_m: np.ndarray, eave_height_m: float, point_m: np.ndarray, classification: np.ndarray
-) -> np.ndarray:
-    """The outline of the points (v, 2), its vertices in the order of the reading; the reading where there is none of
-    as many vertices.
+) -> np.ndarray | None:
+    """The outline of the points (v, 2), its vertices in the order of the reading; None where there is none of as many
+    vertices.
 
     reading_m: (v, 2), counter-clockwise, as the network predicts it, not necessarily simple. eave_height_m: as the
     network predicts it, above the ground. point_m: (n, 3), z above the ground. classification: LAS classes (n,).
@@ -112,7 +111,7 @@ def fitted_outline(
     """
     outline = _traced(reading_m, point_m, classification)
     if outline is None:
-        return reading_m
+        return None
     ends = np.column_stack([outline, np.roll(outline, -1, axis=0)])
     x_m, y_m = point_m[:, :2].T.copy()
     weight = point_weights(classification)

@@ -24,7 +24,8 @@ class Rules:
 
     tolerance_cells: of Douglas-Peucker on a trace; the staircase of a raster is within 0.71 of its line. snap_deg:
     edges at most this far from a main direction get it. near_deg: edges this near have one direction. min_share: of the
-    cubes of the lengths of edges, which a second main direction needs. min_trace_vertices, max_turn_deg: an edge with
+    cubes of the lengths of edges, which a second main direction needs. rectangle_share: of the smallest rectangle
+    around its points, which a trace fills that has the directions of this rectangle. min_trace_vertices, max_turn_deg: an edge with
     as many vertices of the trace has the direction of the line through them, unless that is this far from its own.
     oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off. parallel_deg:
     lines whose directions differ by less are parallel. reach_cells: of seams beyond the ends of their traces, so that
@@ -37,6 +38,7 @@ class Rules:
     snap_deg: float = 22.0
     near_deg: float = 8.0
     min_share: float = 0.02
+    rectangle_share: float = 0.8
     min_trace_vertices: int = 8
     max_turn_deg: float = 10.0
     oblique_share: float = 0.4
@@ -81,11 +83,18 @@ class _Line:
         return np.array([np.sin(self.angle), -np.cos(self.angle)])
 
 
-def directions(trace: shapely.Polygon, cell_m: float) -> list[float]:
-    """The one or two main directions of a trace, in degrees: means of those of the lines through its edges.
+def directions(trace: shapely.Polygon, roof_m: np.ndarray, cell_m: float) -> list[float]:
+    """The one or two main directions of a trace, in degrees: means of those of the lines through its edges, or that of
+    the smallest rectangle around its points (n, 2).
 
-    A direction stands for itself and its perpendicular. That of an edge is as accurate as the edge is long.
+    A direction stands for itself and its perpendicular. That of an edge is as accurate as the edge is long, and short
+    edges of a trace are along the raster; points are not.
     """
+    own_m = roof_m[shapely.contains_xy(trace.buffer(cell_m), *roof_m.T)]
+    around = shapely.minimum_rotated_rectangle(shapely.MultiPoint(own_m))
+    if trace.area >= RULES.rectangle_share * around.area > 0:
+        east_m, north_m = np.diff(shapely.get_coordinates(around)[:2], axis=0)[0]
+        return [float(np.degrees(np.arctan2(north_m, east_m)))]
     lines = [
         line for ring in _rings(trace) for line in _lines(_simple(ring, cell_m), np.asarray(ring.coords), [])
     ]

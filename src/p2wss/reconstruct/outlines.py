@@ -239,7 +239,7 @@ def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple
 def _of_block(trace: _Trace, points: EdgePoints, raster: Raster, settings: Outlines) -> list[shapely.Polygon]:
     """The outlines of the buildings of a block."""
     label, cell_m = trace.label, raster.cell_m
-    main_deg = directions(trace.polygon, cell_m)
+    main_deg = directions(trace.polygon, points.roof_m, cell_m)
     outline = regularised(trace.polygon, main_deg, points, settings, cell_m)
     if len(np.unique(label[label > 0])) < 2:
         return [outline]

@@ -65,6 +65,16 @@ def test_outline_of_an_l_shape(angle_deg: float) -> None:
     assert outline.intersection(truth).area / outline.union(truth).area >= 0.96
 
 
+@pytest.mark.parametrize("angle_deg", [12.0, 17.0, 74.0])
+def test_a_small_house_stands_as_its_points_do(angle_deg: float) -> None:
+    """Along edges of few cells a trace follows the raster."""
+    cloud = scene((shapely.box(0, 0, 5.5, 5), 6.0), angle_deg=angle_deg)
+    (outline,) = outlines(cloud, Outlines(overhang_m=0, cell_m=0.7))
+    truth = placed(shapely.box(0, 0, 5.5, 5), angle_deg)
+    assert len(outline.exterior.coords) - 1 == 4
+    assert corner_errors_m(outline, truth).max() <= 0.3
+
+
 def test_courtyards_stay() -> None:
     court = shapely.box(6, 6, 14, 13)
     (outline,) = outlines(scene((shapely.box(0, 0, 20, 20) - court, 8.0), angle_deg=20.0), Outlines())
