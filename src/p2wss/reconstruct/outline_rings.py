@@ -25,13 +25,14 @@ class Rules:
     tolerance_cells: of Douglas-Peucker on a trace; the staircase of a raster is within 0.71 of its line. snap_deg:
     edges at most this far from a main direction get it. near_deg: edges this near have one direction. min_share: of the
     cubes of the lengths of edges, which a second main direction needs. rectangle_share: of the smallest rectangle
-    around its points, which a trace fills that has the directions of this rectangle. min_trace_vertices, max_turn_deg: an edge with
-    as many vertices of the trace has the direction of the line through them, unless that is this far from its own.
-    oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off. parallel_deg:
-    lines whose directions differ by less are parallel. reach_cells: of seams beyond the ends of their traces, so that
-    they meet the outline. grid_m: of all coordinates. least_length_m: that an edge counts with. max_move_m, min_points:
-    an edge moves by at most this, and not with fewer points on the roof near it. least_density: in front of an edge, as
-    a share of that of roofs. max_difference: of an outline from its trace, as a share of the area.
+    around its points, which a trace fills that has the directions of this rectangle. min_trace_vertices, max_turn_deg:
+    an edge with as many vertices of the trace has the direction of the line through them, unless that is this far from
+    its own. oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off.
+    parallel_deg: lines whose directions differ by less are parallel. reach_cells: of seams beyond the ends of their
+    traces, so that they meet the outline. grid_m: of all coordinates. least_length_m: that an edge counts with.
+    max_move_m, min_points: an edge moves by at most this, and not with fewer points on the roof near it. least_density:
+    in front of an edge, as a share of that of roofs. max_difference: of an outline from its trace, as a share of the
+    area.
     """
 
     tolerance_cells: float = 0.7
