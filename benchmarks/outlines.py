@@ -33,7 +33,6 @@ from real_places import Place, judged_rows, places
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
-from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.footprints.cleaning import clean_footprints
 from p2wss.reconstruct import unclassified
@@ -41,6 +40,7 @@ from p2wss.reconstruct.area import footprint_settings
 from p2wss.reconstruct.outlines import outline_features
 from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.result import Result
+from p2wss.storage.features import Features
 
 MIN_AREA_M2 = 30.0
 # houses at most this far apart touch

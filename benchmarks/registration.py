@@ -30,13 +30,13 @@ from p2wss.clouds import reading as clouds
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.data import polygon_arrays
-from p2wss.data.features import Features
 from p2wss.data.seeds import generator
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct.pipeline import run as run_reconstruct
 from p2wss.reconstruct.registration import NOTHING, register
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.skeleton.types import Polygons
+from p2wss.storage.features import Features
 
 SHIFTS_M = (0.5, 1.0, 1.5)
 # how much worse than in place: with footprints moved, with footprints in place

@@ -7,8 +7,8 @@ from typing import Any
 import geopandas as gpd
 
 from p2wss.config import Scenes
-from p2wss.data.features import Features
 from p2wss.footprints import cleaning
+from p2wss.storage.features import Features
 
 
 def read_footprints(*arguments: Any, **more: Any) -> gpd.GeoDataFrame:

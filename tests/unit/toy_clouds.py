@@ -9,8 +9,8 @@ import shapely
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Scenes
-from p2wss.data.features import Features
 from p2wss.footprints import cleaning
+from p2wss.storage.features import Features
 
 LAMBERT, RD, WGS84 = (pyproj.CRS.from_epsg(code) for code in (2154, 28992, 4326))
 

@@ -16,10 +16,10 @@ from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
 from p2wss.data.crs import check_crs
-from p2wss.data.features import Features
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
 from p2wss.skeleton.types import Polygons
+from p2wss.storage.features import Features
 from p2wss.storage.schemas.crops import CROPS
 
 

@@ -20,7 +20,6 @@ from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays
-from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
@@ -33,6 +32,7 @@ from p2wss.mesh.topology import doubled_areas
 from p2wss.reconstruct.inputs import CloudInput, open_clouds, read_cloud
 from p2wss.reconstruct.scene import Scene
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.features import Features
 
 # points up to this distance from the footprint are of the building
 BUFFER_M = 1.0

@@ -16,10 +16,10 @@ import pyproj
 import shapely
 
 from p2wss.data.crs import check_crs
-from p2wss.data.features import Features
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 # our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
 SPELLINGS = {

@@ -15,13 +15,13 @@ from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.crs import MetricCrs, horizontal, reprojected
-from p2wss.data.features import Features
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import read_attributes, read_vector
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.data.features import Features
 from p2wss.footprints.vector_files import is_missing
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 log = logging.getLogger(__name__)
 

@@ -14,10 +14,10 @@ import pyogrio
 import pyproj
 import shapely
 
-from p2wss.data.features import Features, columns_of
 from p2wss.data.tiling import Bounds
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.features import Features, columns_of
 
 # WKB types that shapely cannot read, and those with the same bytes that it can
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle

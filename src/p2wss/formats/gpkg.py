@@ -14,8 +14,8 @@ import numpy as np
 import pyogrio
 import shapely
 
-from p2wss.data.features import Features
 from p2wss.storage import files
+from p2wss.storage.features import Features
 
 # as QGIS makes it
 _STYLES = """

@@ -18,7 +18,6 @@ import shapely
 from p2wss.clouds.crops import GROUND_RINGS_M
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
-from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -26,6 +25,7 @@ from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
 # a building depends on points up to so far from its footprint, which may move and turn

@@ -15,10 +15,10 @@ import shapely
 
 from p2wss.data import reasons
 from p2wss.data.crs import horizontal
-from p2wss.data.features import Features
 from p2wss.reconstruct import measures
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result
+from p2wss.storage.features import Features
 
 P2WSS, NAMES_3DBAG = "p2wss", "3dbag"
 # names of 3DBAG (https://docs.3dbag.nl/en/schema/attributes) for ours

@@ -12,7 +12,6 @@ import numpy as np
 import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
-from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain
 from p2wss.formats import gpkg, qgis, sionna
 from p2wss.formats.materials import materials_of
@@ -30,6 +29,7 @@ from p2wss.reconstruct.spool import Lazy
 from p2wss.reconstruct.vegetation import Plant
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0

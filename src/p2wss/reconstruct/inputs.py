@@ -17,13 +17,13 @@ from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
 from p2wss.data.crs import MetricCrs, common_crs, metric_crs
-from p2wss.data.features import Features
 from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import read_metadata, weights_to_use
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -21,11 +21,11 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
-from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
 # clouds of nearly the same density have the same cells

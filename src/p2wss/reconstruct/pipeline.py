@@ -15,7 +15,6 @@ from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, no_mesh
-from p2wss.data.features import Features
 from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import every_kth
@@ -30,6 +29,7 @@ from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
 from p2wss.reconstruct.spool import Lazy
 from p2wss.skeleton.nearest import nearest
+from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
 # columns that reading and cleaning add to the input's own

@@ -18,7 +18,6 @@ import shapely
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.features import Features
 from p2wss.reconstruct.footprint_flags import contradictions
 from p2wss.reconstruct.registration_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.shifts import (
@@ -32,6 +31,7 @@ from p2wss.reconstruct.shifts import (
     solve_shift,
 )
 from p2wss.skeleton.types import Polygons
+from p2wss.storage.features import Features
 
 # footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
 _BESIDE_M = 20.0

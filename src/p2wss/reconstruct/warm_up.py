@@ -21,7 +21,7 @@ from p2wss.nets.prediction import Prediction
 
 if TYPE_CHECKING:
     from p2wss.clouds.reading import Cloud
-    from p2wss.data.features import Features
+    from p2wss.storage.features import Features
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"
@@ -127,8 +127,8 @@ def sample() -> tuple[Features, Cloud]:
     import shapely
 
     from p2wss.config import Scenes
-    from p2wss.data.features import Features
     from p2wss.footprints.cleaning import clean_footprints
+    from p2wss.storage.features import Features
 
     draw = np.random.default_rng(0)
     house, dormer = shapely.box(0, 0, 13, 8), shapely.box(30, 0, 42, 9)

@@ -10,13 +10,13 @@ import shapely
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
-from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds, tiles_of_points
 from p2wss.footprints.cleaning import clean_footprints, split_parts
 from p2wss.scenes.heights import eave_heights, ground_heights
 from p2wss.scenes.roofs import FootprintEdges, draw_angles
 from p2wss.skeleton import Status
+from p2wss.storage.features import Features
 
 # footprints with a smaller gap share a party wall: data sets rarely draw the common wall twice alike
 _PARTY_GAP_M = 0.3

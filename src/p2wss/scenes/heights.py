@@ -7,9 +7,9 @@ import pandas as pd
 import shapely
 
 from p2wss.config import Scenes
-from p2wss.data.features import Features
 from p2wss.data.seeds import generator
 from p2wss.data.terrain import Terrain
+from p2wss.storage.features import Features
 
 # ranges of eave heights to draw from where BD TOPO has none, by its attribute nature, then by its usage
 DRAWN_BY_NATURE_M = {

@@ -20,7 +20,6 @@ from safetensors.torch import save_file
 
 from p2wss.cli import main
 from p2wss.cli.inspection import describe, text
-from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
@@ -28,6 +27,7 @@ from p2wss.formats.meshes import Body, frame_around
 from p2wss.mesh import Mesh
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 from p2wss.storage.schemas.measures import MEASURES
 
 DATA = SHARED / "data"

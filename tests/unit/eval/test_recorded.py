@@ -16,12 +16,12 @@ from scipy.spatial import cKDTree
 from p2wss import crops
 from p2wss.config import Config, Eval, Reconstruct, load
 from p2wss.data.building import Reconstruction
-from p2wss.data.features import Features
 from p2wss.eval import cases, measure, methods, roofer_command, tables
 from p2wss.footprints import cleaning
 from p2wss.mesh.surface import sample_surface
 from p2wss.reconstruct.flat import lod1
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
 
 DATA = SHARED / "data"

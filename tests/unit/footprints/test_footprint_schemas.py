@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from p2wss.data.features import Features, columns_of
 from p2wss.footprints.schemas import (
     SCHEMAS,
     FootprintSchema,
@@ -16,6 +15,7 @@ from p2wss.footprints.schemas import (
     stated_heights_m,
 )
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features, columns_of
 
 # the columns of each source, and the id and height of its row
 SOURCES = {

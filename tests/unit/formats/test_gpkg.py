@@ -15,8 +15,8 @@ import pytest
 import shapely
 
 import p2wss.formats
-from p2wss.data.features import Features
 from p2wss.formats import gpkg, qgis
+from p2wss.storage.features import Features
 
 STATES = {"a": "ok", "b": "flagged", "c": "flagged", "d": "flat", "e": "none"}
 

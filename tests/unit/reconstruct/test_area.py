@@ -15,7 +15,6 @@ from toy_clouds import LAMBERT, cleaned
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.features import Features
 from p2wss.reconstruct import area as areas
 from p2wss.reconstruct.area import Area, run_area
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -23,6 +22,7 @@ from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.spool import Spool
+from p2wss.storage.features import Features
 
 CONFIG = Reconstruct()
 # how far the footprints lie beside the buildings

@@ -14,7 +14,6 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.building import Building
-from p2wss.data.features import Features
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import shaft_points
@@ -24,6 +23,7 @@ from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.own_points import own_classes
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result
+from p2wss.storage.features import Features
 
 RING = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 10.0], [0.0, 10.0]])
 

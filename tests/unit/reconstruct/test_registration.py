@@ -11,7 +11,6 @@ from toy_clouds import LAMBERT
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.features import Features
 from p2wss.reconstruct import registration
 from p2wss.reconstruct.attributes import input_footprints
 from p2wss.reconstruct.attributes import table as reconstruct_table
@@ -20,6 +19,7 @@ from p2wss.reconstruct.registration import NOTHING, Registration, block_shifts, 
 from p2wss.reconstruct.registration import summary as registration_summary
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.reconstruct.shifts import Estimate
+from p2wss.storage.features import Features
 
 POINTS_PER_M2 = 10
 ORIGIN = np.array([652_000.0, 6_862_000.0])

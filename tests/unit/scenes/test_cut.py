@@ -11,7 +11,6 @@ from places import SHARED
 
 from p2wss.cli import main
 from p2wss.config import Scenes
-from p2wss.data.features import Features
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
 from p2wss.scenes.cut import (
@@ -22,6 +21,7 @@ from p2wss.scenes.cut import (
     party_walls,
 )
 from p2wss.storage import files
+from p2wss.storage.features import Features
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
 
