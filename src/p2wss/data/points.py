@@ -11,7 +11,7 @@ import shapely
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES, WATER_CLASS
 
 # with fewer points of class building, or a smaller share of those that may be, the classifier has missed the building
-MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE = 10, 0.2
+MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE = 5, 0.2
 # lower points on a building that the classifier has missed may be a car, a hedge or rough ground
 MIN_HEIGHT_M = 2.0
 _NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
@@ -27,9 +27,9 @@ def points_on_building(
 ) -> np.ndarray:
     """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,); z above the ground.
 
-    These are the points of class building inside the polygon. If there are fewer than ten, or than a fifth of all that
+    These are the points of class building inside the polygon. If there are fewer than five, or than a fifth of all that
     are at least 2 m above the ground and neither ground, noise, water nor plants, they are all of these; with fewer
-    than ten of these, plants count, too. Points outside the footprint never count: in a row of houses they belong to
+    than five of these, plants count, too. Points outside the footprint never count: in a row of houses they belong to
     the neighbours.
     """
     if not len(point_m):

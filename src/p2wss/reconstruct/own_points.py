@@ -35,16 +35,16 @@ from p2wss.skeleton.nearest import nearest
 class Rules:
     """Whose the points at a border are; set by hand from drawn old towns.
 
-    strip_m: points this near to the border may be another building's. band_m: what the building has at the strip is
-    seen within this distance of the border. core_m: half the width of a wing, less the strip; narrower ones have no
-    strip, because their own roof looks like one. step_m: between a surface of the neighbour and the points of the
-    building nearest to it; beyond the border, points may be so much lower. Of both, ``num_near`` are looked at.
-    reach_m: points beyond the border show nothing further away. most_per_m2: points of which planes are grown.
-    deep_share: where the density of a plane's points further within is a larger share of that in the strip, the plane
-    is the building's.
+    strips_m: points this near to the border may be another building's: the widest of these strips that leaves a core.
+    band_m: what the building has at the strip is seen within this distance of the border. core_m: half the width of a
+    wing, less the strip; narrower ones have no strip, because their own roof looks like one. step_m: between a surface
+    of the neighbour and the points of the building nearest to it; beyond the border, points may be so much lower. Of
+    both, ``num_near`` are looked at. reach_m: points beyond the border show nothing further away. most_per_m2: points
+    of which planes are grown. deep_share: where the density of a plane's points further within is a larger share of
+    that in the strip, the plane is the building's.
     """
 
-    strip_m: float = 1.0
+    strips_m: tuple[float, ...] = (1.0, 0.5)
     band_m: float = 2.5
     core_m: float = 0.3
     step_m: float = 0.7
@@ -96,13 +96,16 @@ def _theirs(
     result = np.zeros(len(point_m), bool)
     is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
     is_high = is_solid & (point_m[:, 2] >= MIN_HEIGHT_M)
-    core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
+    for strip_m in RULES.strips_m:
+        core = polygon.buffer(-strip_m - RULES.core_m).buffer(RULES.core_m)
+        if not core.is_empty:
+            break
     if core.is_empty or not (is_high & ~inside).any():
         return result
     inner = polygon.buffer(-RULES.band_m)
     within, deep_within, beside_core = (
         shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
-        for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
+        for each in (polygon.buffer(-strip_m), inner, core.buffer(2 * strip_m))
     )
     own = is_solid & inside & ~deep_within
     is_near = own & ~within & beside_core
@@ -113,36 +116,26 @@ def _theirs(
     if not _differs(near_m, np.zeros((1, 2)), point_m[is_deep]).any():
         return result
     band = np.flatnonzero(own | (is_high & ~inside))
-    ring_m2 = polygon.buffer(RULES.strip_m).area - inner.area
+    ring_m2 = polygon.buffer(strip_m).area - inner.area
     chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
     found = detect(chosen, max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2), (), _DETECTION)
     # the last plane is that of points without one
     plane, label = np.vstack([found.plane, np.zeros(3)]), np.full(len(point_m), len(found.plane))
     label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]] % len(plane)
-
-    def num_on_plane(mask: np.ndarray) -> np.ndarray:
-        return np.bincount(label[mask], minlength=len(plane))
-
-    num_near, num_deep = num_on_plane(is_near), num_on_plane(is_deep)
+    num_near, num_deep = (np.bincount(label[mask], minlength=len(plane)) for mask in (is_near, is_deep))
     has_plane = label < len(found.plane)
     is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
     shows = np.where(has_plane, own & is_own[label], is_deep)
     if not shows.any():
         return result
-    differs = is_near & is_high
-    differs[is_near] &= _differs(near_m, plane[label[is_near], :2], point_m[shows])
+    result = is_near & is_high & ~(has_plane & is_own[label])
     beyond_m = point_m[is_solid & ~inside]
     far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
     other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    result[is_near] = differs[is_near] & ((near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z))
-    num_differing = num_on_plane(differs)
-    is_theirs = (2 * num_on_plane(result) > num_differing) & (2 * num_differing > num_near) & ~is_own
-    result &= ~has_plane
-    result[result] = _differs(
-        point_m[result], np.zeros((1, 2)), point_m[shows | (own & has_plane & ~is_theirs[label])]
-    )
-    return result | (own & has_plane & is_theirs[label])
+    result[is_near] &= (near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z)
+    result[is_near] &= _differs(near_m, plane[label[is_near], :2], point_m[shows])
+    return result
 
 
 def _differs(place_m: np.ndarray, slope: np.ndarray, own_m: np.ndarray) -> np.ndarray:

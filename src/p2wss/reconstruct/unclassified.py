@@ -51,7 +51,7 @@ _WITHOUT_GROUND = (
     " more accurate"
 )
 _WITHOUT_BUILDINGS = (
-    "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than ten of"
+    "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than five of"
     " them, all points 2 m above the ground), and footprints are not moved (--registration always: moved)"
 )
 

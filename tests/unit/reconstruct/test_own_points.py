@@ -122,6 +122,24 @@ def test_a_roof_that_falls_towards_the_building_is_the_neighbours() -> None:
     assert (theirs(point_m) == ((x > 7.5) & (x < 8))).all()
 
 
+def test_what_is_far_above_a_narrow_shed_is_the_neighbours() -> None:
+    """The shed is 2.2 m wide, and the roof beside it reaches 40 cm over the border."""
+    point_m = surface({(-1, 7.6): 3.0, (7.6, 9): 15.0})
+    shed = np.array([[5.8, 1.0], [8.0, 1.0], [8.0, 8.0], [5.8, 8.0]])
+    classes = np.full(len(point_m), BUILDING_CLASS, np.uint8)
+    inside = shapely.contains_xy(shapely.Polygon(shed), *point_m[:, :2].T)
+    found = own_classes([shed], point_m, classes)[inside] == NEIGHBOUR_CLASS
+    assert (found == (point_m[inside, 0] > 7.6)).all()
+
+
+def test_a_roof_that_rises_from_the_level_of_the_building_is_the_neighbours_where_it_is_higher() -> None:
+    point_m = surface({(-1, 9): 5.0})
+    x, y = point_m[:, 0], point_m[:, 1]
+    point_m[x > 7.5, 2] += 0.12 * y[x > 7.5]
+    found, is_strip = theirs(point_m), (x > 7.5) & (x < 8)
+    assert found[is_strip & (y > 6.5)].all() and not found[~is_strip | (y < 5)].any()
+
+
 def test_the_steep_eave_of_a_mansard_is_the_buildings() -> None:
     """It is no wider than the strip, but there is no step above it."""
     point_m = surface({(-1, 9): 0.0})
