@@ -13,7 +13,7 @@ from p2wss.fit.planes.arrangement import Arrangement, arrange
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import lines_of
-from p2wss.fit.planes.regularity import hidden_halves, regular
+from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import OUTSIDE, solid_below
 from p2wss.fit.points import even_order
 from p2wss.fit.settings import Planes
@@ -99,11 +99,7 @@ def fit_planes(
     hidden_m = float(nearest(point_m[:, :2], np.concatenate(rings))[0].max())
     drawing = settings.drawing.for_density(density)
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
-    lines = lines_of(rings, plane, found.label, point_m, along, drawing)
-    if hidden_m > settings.drawing.reach_m:
-        halves, ridges = hidden_halves(rings, plane, found.label, point_m, settings.drawing.near_m)
-        plane, lines = np.vstack([plane, halves]), lines + ridges
-    cells = arrange(rings, lines)
+    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
     cell = cells.cells_at(point_m[:, :2])
     for dearer in _DEARER:
         prices = settings.times(dearer).prices.for_density(density)

@@ -81,8 +81,8 @@ def costs_of(
     density: float,
     prices: PlanePrices,
 ) -> Costs:
-    """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3); a plane may have
-    none. of_cell: (m,), its cell, -1 for none. density: points per square metre, each of which stands for an area."""
+    """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). of_cell: (m,),
+    its cell, -1 for none. density: points per square metre, each of which stands for an area."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
     place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
@@ -90,9 +90,7 @@ def costs_of(
     off_m3 = np.bincount(place, off_m[of_cell >= 0].ravel() / density, num_places)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
-    beyond_m = np.full(cell_m3.shape, np.inf)
-    for n in np.unique(label[label >= 0]):
-        beyond_m[:, n] = nearest(point_m[label == n, :2], cells.middle_m)[0][:, 0]
+    beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
     expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
     # between the last point and the end of a roof
     gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * density**0.5)

@@ -1,19 +1,15 @@
-"""Planes made regular where the points allow it: level, sloping along a direction of the footprint, equally steep; and
-gables where half of one is hidden."""
+"""Planes made regular where the points allow it: level, sloping along a direction of the footprint, equally steep."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-import shapely
 
 from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance
-from p2wss.fit.planes.lines import Line
 from p2wss.fit.points import median
 from p2wss.fit.settings import Detection
-from p2wss.skeleton.nearest import nearest
 
 # tangents: of a slope that may be level, and of a difference between slopes that may be equal
 _NEARLY_LEVEL, _NEARLY_EQUAL = 0.14, 0.06
@@ -73,26 +69,3 @@ def _equally_steep(
             if worse_m < slack_m:
                 result[j], is_set[j] = equal, True
     return result
-
-
-def hidden_halves(
-    rings: Sequence[np.ndarray], plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, gap_m: float
-) -> tuple[np.ndarray, list[Line]]:
-    """Planes (h, 3) that make gables of planes (k, 3), and the ridges in the middle of the footprint.
-
-    label: (m,), the plane of each point (m, 3). Half of a gable is in the shadow of a higher building where most points
-    of the other half, mirrored at the ridge, are inside the footprint and further than ``gap_m`` from all points.
-    """
-    polygon, steep = shapely.Polygon(rings[0], rings[1:]), np.hypot(plane[:, 0], plane[:, 1])
-    hidden, ridges = [], []
-    for number in np.flatnonzero(steep > _NEARLY_LEVEL):
-        normal = plane[number, :2] / steep[number]
-        place = rings[0] @ normal
-        ridge_m = float(place.min() + place.max()) / 2
-        own_m = point_m[label == number, :2]
-        mirrored_m = own_m - 2 * np.outer(own_m @ normal - ridge_m, normal)
-        is_alone = nearest(point_m[:, :2], mirrored_m)[0][:, 0] > gap_m
-        if (is_alone & shapely.contains_xy(polygon, *mirrored_m.T)).mean() > 0.5:
-            hidden.append(plane[number] * [-1, -1, 1] + [0, 0, 2 * steep[number] * ridge_m])
-            ridges.append(Line(normal, ridge_m))
-    return np.array(hidden).reshape(-1, 3), ridges
