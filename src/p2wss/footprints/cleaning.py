@@ -152,9 +152,8 @@ def split_parts(features: Features, min_area_m2: float, tolerance_m: float = 0.2
     parts = np.concatenate([parts, np.full(len(empty_rows), shapely.Polygon())])[order]
     is_split = np.bincount(row, minlength=len(features))[row] > 1
     names = features["building_id"].tolist()
-    taken = taken_part_numbers(names)
-    if _TAKEN in features.columns:
-        taken = dict(zip(names, features[_TAKEN], strict=True))
+    is_known = _TAKEN in features.columns
+    taken = dict(zip(names, features[_TAKEN], strict=True)) if is_known else taken_part_numbers(names)
     ids = features["building_id"][row]
     suffix = dict.fromkeys(row[is_split], 0)
     for index in np.flatnonzero(is_split):

@@ -120,11 +120,10 @@ def _divided(shapes: np.ndarray, cleaned: np.ndarray, snap_m: float) -> tuple[np
     """(the polygons without what two of them have in common, whether each is one of two such) where cleaned ones still
     overlap, nowhere wider than half a metre. The common area goes to one of both, so that fewer corners are left."""
     first, second = shapely.STRtree(cleaned).query(cleaned, predicate="intersects")
-    is_pair = (first < second) & _is_wide(
-        shapely.intersection(cleaned[first], cleaned[second]), _MIN_OVERLAP_M
-    )
+    pairs = np.column_stack([first, second])[first < second]
+    overlaps = _is_wide(shapely.intersection(*cleaned[pairs.T]), _MIN_OVERLAP_M)
     shapes, is_divided = shapes.copy(), np.zeros(len(shapes), bool)
-    for pair in np.unique(np.column_stack([first, second])[is_pair], axis=0):
+    for pair in np.unique(pairs[overlaps], axis=0):
         common = shapely.intersection(*shapes[pair])
         # beside overlaps that the snapping closes, spikes would be left
         rest = _buffered(_buffered(shapely.difference(shapes[pair], common), -snap_m / 2), snap_m / 2)

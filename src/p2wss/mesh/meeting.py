@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,19 @@ _TOGETHER = 200
 _NO_AREA_M2 = 1e-6
 
 
+class _Equations(NamedTuple):
+    """Of p planes: row (p, 3), base (p, 3) and scale (p, 3, 3).
+
+    Those points are on a plane whose distance from its base point has no product with the row. For roofs, the row is
+    the slopes and -1, for others the normal. A change of a plane, times the scale, is one of the slopes and the offset;
+    so scaled, it is as long as that of its vertices' heights.
+    """
+
+    row: np.ndarray
+    base: np.ndarray
+    scale: np.ndarray
+
+
 def with_meeting_planes(
     mesh: Mesh,
     place: np.ndarray,
@@ -43,7 +57,7 @@ def with_meeting_planes(
     planes = mesh.planes
     num = len(planes.kind)
     corner = np.column_stack(np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num))
-    row, base, scale = _equations(mesh, corner, free)
+    equations = _equations(mesh, corner, free)
     _, place = np.unique(place, return_inverse=True)
     pairs = np.concatenate([corner, np.array(list(more), int).reshape(-1, 2)])
     at, plane = np.divmod(np.unique(place[pairs[:, 0]] * num + pairs[:, 1]), num)
@@ -57,25 +71,25 @@ def with_meeting_planes(
     is_there[at, slot] = True
     of_slot = np.zeros(size, int)
     of_slot[at, slot] = plane
-    moves = np.asarray(scale.any(axis=(1, 2)))
-    change = np.zeros((len(row), 3))
-    normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+    moves = np.asarray(equations.scale.any(axis=(1, 2)))
+    change = np.zeros((num, 3))
+    normal, off_m, _ = _at_places(equations, change, vertex_m, of_slot, is_there)
     is_off = np.abs(off_m).max(axis=1) >= _EXACT_M
     if is_off.any():
         # places where planes depend on each other, as more meet than a point needs
         rank = np.einsum("nij,nji->n", normal, np.linalg.pinv(normal, _RANK))
         is_linked = is_there & moves[of_slot] & (is_off | (count - rank > 0.5))[:, None]
         at, slot = np.nonzero(is_linked)
-        part = groups(len(row) + len(first), np.column_stack([of_slot[at, slot], len(row) + at]))
+        part = groups(num + len(first), np.column_stack([of_slot[at, slot], num + at]))
         parts, size_of = np.unique(part, return_counts=True)
-        is_wrong = np.isin(parts, part[len(row) :][is_off])
+        is_wrong = np.isin(parts, part[num:][is_off])
         together = np.where(is_wrong, np.cumsum(size_of * is_wrong) // _TOGETHER, -1)[part]
         for number in np.unique(together[together >= 0]):
-            is_own = moves & (together[: len(row)] == number)
-            is_here = (is_own[of_slot] & is_there).any(axis=1) | (together[len(row) :] == number)
+            is_own = moves & (together[:num] == number)
+            is_here = (is_own[of_slot] & is_there).any(axis=1) | (together[num:] == number)
             places = vertex_m[is_here], of_slot[is_here], is_there[is_here]
-            vertex_m[is_here] = _met(row, base, scale, change, is_own, *places)
-    apart_m = np.abs(_at_places(row, base, scale, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
+            vertex_m[is_here] = _met(equations, change, is_own, *places)
+    apart_m = np.abs(_at_places(equations, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
     moved_m = vertex_m[place]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
@@ -83,9 +97,7 @@ def with_meeting_planes(
 
 
 def _met(
-    row: np.ndarray,
-    base: np.ndarray,
-    scale: np.ndarray,
+    equations: _Equations,
     change: np.ndarray,
     moves: np.ndarray,
     vertex_m: np.ndarray,
@@ -96,7 +108,7 @@ def _met(
     # planes that stay have no lever here, so the number of their unknowns does not matter; 0 is that of none
     num, unknown = moves.sum() + 1, np.cumsum(moves)[of_slot]
     for _ in range(_NUM_ROUNDS):
-        normal, off_m, lever = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        normal, off_m, lever = _at_places(equations, change, vertex_m, of_slot, is_there)
         if np.abs(off_m).max() < _EXACT_M:
             break
         # what is left of the distances of planes from a point wherever it is
@@ -108,7 +120,7 @@ def _met(
         np.add.at(right, unknown, (apart @ off_m[..., None]) * lever)
         matrix = square.transpose(0, 2, 1, 3).reshape(3 * num, 3 * num) + _NO_CHANGE * np.eye(3 * num)
         change[moves] -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)[1:]
-        normal, off_m, _ = _at_places(row, base, scale, change, vertex_m, of_slot, is_there)
+        normal, off_m, _ = _at_places(equations, change, vertex_m, of_slot, is_there)
         vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
     return vertex_m
 
@@ -119,15 +131,9 @@ def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
-def _equations(
-    mesh: Mesh, corner: np.ndarray, free: Collection[int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(row (p, 3), base (p, 3), scale (p, 3, 3)) of planes: those points are on one whose distance from its base point
-    has no product with the row. For roofs, the row is the slopes and -1, for others the normal. A change of a plane,
-    times the scale, is one of the slopes and the offset; so scaled, it is as long as that of its vertices' heights.
-
-    corner: (n, 2), vertices and their planes.
-    """
+def _equations(mesh: Mesh, corner: np.ndarray, free: Collection[int]) -> _Equations:
+    """The equations of the planes of a mesh. corner: (n, 2), vertices and their planes. free: planes that may shift
+    though they are walls on floors."""
     planes = mesh.planes
     vertex, plane = corner.T
     size = np.bincount(plane)
@@ -153,13 +159,11 @@ def _equations(
     stays[planes.kind == FaceKind.GROUND] = True
     scale[~is_roof] = 0
     scale[~is_roof, 2, 2] = np.where(stays, 0, 1 / np.sqrt(size))[~is_roof]
-    return row, base, scale
+    return _Equations(row, base, scale)
 
 
 def _at_places(
-    row: np.ndarray,
-    base: np.ndarray,
-    scale: np.ndarray,
+    equations: _Equations,
     change: np.ndarray,
     vertex_m: np.ndarray,
     of_slot: np.ndarray,
@@ -167,6 +171,7 @@ def _at_places(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(rows (n, k, 3) of the planes at places, how far each plane is from its place, and how much further by a change
     of the plane (n, k, 3))."""
+    row, base, scale = equations
     tilt = (scale @ change[..., None])[..., 0]
     from_base = vertex_m[:, None] - base[of_slot]
     lever = np.concatenate([from_base[..., :2], np.ones((*of_slot.shape, 1))], axis=2)

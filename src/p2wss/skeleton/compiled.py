@@ -38,7 +38,6 @@ linalg.ensure_blas = lambda: None
 # a literal number, or a variable that starts as one, makes numba compile the functions it is passed to once more, for
 # that constant
 ZERO: Any = np.int64(0)
-ONE: Any = np.int64(1)
 # read as text, since parsing all files takes longer than most commands
 _IMPORT = re.compile(r"^from (p2wss[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 _NAME = re.compile(r"\w+")
