@@ -26,7 +26,7 @@ from p2wss import cli
 from p2wss.config import Config, Eval, load
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.manifest import Manifest, Shard, read_manifest
-from p2wss.eval import cases, figures, measure, methods, report, roofer_command, tables
+from p2wss.eval import cases, figures, masked, measure, methods, report, roofer_command, tables
 from p2wss.eval.reconstructions import (
     RECONSTRUCTIONS,
     read_reconstructions,
@@ -117,6 +117,23 @@ def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[
     constant = np.abs(truth - medians.eave_height_m).mean()
     assert table["Constant predictor MAE"]["Height (m)"] == pytest.approx(constant)
     assert table.loc["Height (m)", ["Paper MAE", "Paper std"]].tolist() == [0.23, 0.9]
+
+
+def test_a_building_whose_points_have_no_such_outline_keeps_its_reading(
+    hamlet_cases: list[cases.Case],
+) -> None:
+    network = TruthNetwork(hamlet_cases, wrong_m=0.25)
+    seen = hamlet_cases[0].building
+    # no point of class building, so no outline
+    unseen = replace(seen, classification=np.where(seen.classification == 6, 1, seen.classification))
+    buildings = [seen, unseen]
+    reading = masked.read_all_masked(buildings, network, signs_visible=True)
+    fitted = masked.fit_all_masked(buildings, reading, network, Config().reconstruct)
+    assert np.abs(fitted.xy_m[0] - seen.rings[0]).mean() < np.abs(reading.xy_m[0] - seen.rings[0]).mean()
+    assert fitted.eave_height_m[0] != reading.eave_height_m[0]
+    assert fitted.eave_height_m[1] == reading.eave_height_m[1]
+    assert np.array_equal(fitted.xy_m[1], reading.xy_m[1])
+    assert np.array_equal(fitted.angle_deg[1], reading.angle_deg[1])
 
 
 def test_the_truth_measures_better_than_a_flat_roof(hamlet_cases: list[cases.Case]) -> None:
