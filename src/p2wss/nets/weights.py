@@ -63,7 +63,7 @@ def load_model(path: Path) -> Point2Wss:
     """A trained Point2WSS for inference. Raises :class:`InputError` for any other file."""
     state, metadata = read_weights(path, "model")
     with _compatible(path, metadata):
-        config = ModelConfig.model_validate(_settings(metadata["config"]))
+        config = ModelConfig.model_validate(ModelConfig.neutral | _settings(metadata["config"]))
         dvae_config = DvaeConfig.model_validate(_settings(metadata["dvae_config"]))
         module = _built(lambda: Point2Wss(config, dvae_config), state)
         if tuple(metadata["vocabulary"]) != module.tokenizer.vocabulary:

@@ -16,6 +16,7 @@ SWITCHES = (
     "match_balanced",
     "ground_relative",
     "numerical_encoding",
+    "numerical_decoding",
     "edge_embedding",
     "edge_attention",
     "loss_weights",
