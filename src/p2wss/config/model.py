@@ -113,7 +113,6 @@ class Model(Section):
         "similar_lengths": True,
         "dvae_start": True,
         "start": "",
-        "numerical_decoding": False,
     }
     weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
     start: str = Field("", description="file with trained weights to start from; '' = from random weights")

@@ -193,22 +193,6 @@ class Tokenizer:
         kind = torch.cat([self._header[1], self._block[1].repeat(n)])
         return torch.cat([(kind == KIND_HEIGHT).nonzero()[:, 0], (kind == KIND_ANGLE).nonzero()[:, 0]])
 
-    def numbers(self, length: int) -> tuple[Tensor, Tensor]:
-        """Of each position of sequences of this ``length``, int64 (length,): the first digit of the number that it is a
-        digit of, and its place; -1 and 0 for other positions."""
-        slots = [(self.header_length - len(self.height_places), self.height_places)]
-        for block in range(self.header_length, length - 1, self.block_length):
-            slots += [
-                (block + self.x_slot + 1, self.coord_places),
-                (block + self.y_slot + 1, self.coord_places),
-                (block + self.angle_slot, self.angle_places),
-            ]
-        first, place = torch.full((2, length), -1)
-        for slot, places in slots:
-            first[slot : slot + len(places)] = slot
-            place[slot : slot + len(places)] = torch.tensor(places)
-        return first, place.masked_fill(first < 0, 0)
-
     def digits(self, length: int) -> tuple[Tensor, Tensor]:
         """Of each position of sequences of this ``length``, int64 (length,): the index of its place in ``places``, and
         how many digits of its number stand before it; -1 and 0 where there is no digit."""
