@@ -166,7 +166,8 @@ def test_a_project_of_the_catalogue_plans(project):
 
 def test_every_config_plans(fresh):
     # what continues a training needs its weights
-    configs = (file for file in (ROOT / "config").glob("**/*.yaml") if file.name != "shipped-continued.yaml")
+    continued = {"shipped-continued.yaml", "shipped-numbers.yaml"}
+    configs = (file for file in (ROOT / "config").glob("**/*.yaml") if file.name not in continued)
     files = sorted(str(file.relative_to(ROOT)) for file in configs)
     runs = fresh.dry_runs([["--configfile", file] for file in files])
     assert len(runs) == len(files) > 10 and all(map(rules_to_run, runs))

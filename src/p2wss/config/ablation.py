@@ -28,14 +28,14 @@ _PAPER_LOSSES = {
     "match_balanced": False,
     "loss_weights": {"cloud": 1, "sequence": 1, "modal": 1, "match": 1},
 }
-_PLAIN_INPUT = {"ground_relative": False, "numerical_encoding": False}
+_PLAIN_NUMBERS = {"ground_relative": False, "numerical_encoding": False, "numerical_decoding": False}
 _PAPER = {
     **_PAPER_MASKING,
     **_PAPER_DECODING,
     **_NO_AUGMENTATION,
     **_NO_EDGES,
     **_PAPER_LOSSES,
-    **_PLAIN_INPUT,
+    **_PLAIN_NUMBERS,
     "ema_decay": 0,
 }
 
@@ -60,6 +60,7 @@ class Ablation(Section):
             "no_average": {"ema_decay": 0},
             "no_ground": {"ground_relative": False},
             "no_numerical_encoding": {"numerical_encoding": False},
+            "no_numerical_decoding": {"numerical_decoding": False},
             "no_edge_attention": {"edge_attention": False},
             "no_edges": _NO_EDGES,
         },

@@ -27,7 +27,7 @@ class Section(BaseModel):
     """Base class of all sections: unknown keys are errors, and instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    # values of keys with which a result is what it was before there was such a key: these rerun nothing
+    # default values of keys with which a result is what it was before there was such a key: these rerun nothing
     neutral: ClassVar[Mapping[str, Any]] = {}
 
     @model_serializer(mode="wrap")

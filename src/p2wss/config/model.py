@@ -60,10 +60,15 @@ class Augmentation(Section):
 
 
 class LossWeights(Section):
-    """Weights of the four losses in the total. The paper: 1, 1, 1, 1."""
+    """Weights of the losses in the total. The paper has four: 1, 1, 1, 1."""
+
+    neutral: ClassVar = {"number": 0.1}
 
     cloud: float = Field(0.3, ge=0, description="weight of predicting masked patches")
     sequence: float = Field(1.0, ge=0, description="weight of predicting masked parameter tokens")
+    number: float = Field(
+        0.1, ge=0, description="weight of predicting the values of numbers, with numerical_decoding"
+    )
     modal: float = Field(0.1, ge=0, description="weight of the alignment of both encoders")
     match: float = Field(
         0.1, ge=0, description="weight of the matching loss after the cross-modality encoders"
@@ -104,7 +109,11 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
-    neutral: ClassVar = {"similar_lengths": True, "dvae_start": True, "start": ""}
+    neutral: ClassVar = {
+        "similar_lengths": True,
+        "dvae_start": True,
+        "start": "",
+    }
     weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
     start: str = Field("", description="file with trained weights to start from; '' = from random weights")
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
@@ -152,6 +161,9 @@ class Model(Section):
     ground_relative: bool = Field(True, description="patches also encode their height above the ground")
     numerical_encoding: bool = Field(
         True, description="digit tokens also encode their numerical value (Regression Transformer)"
+    )
+    numerical_decoding: bool = Field(
+        True, description="the digits of a number are also predicted from a value that they share"
     )
     edge_embedding: bool = Field(
         True,

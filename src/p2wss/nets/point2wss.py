@@ -14,7 +14,7 @@ from p2wss.nets.batch import NETWORK_SCALE
 from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.layers import CoordinateLinear
 from p2wss.nets.patches import Patches
-from p2wss.nets.tokenizer import MASK, MINUS, PAD, Tokenizer
+from p2wss.nets.tokenizer import FIRST_DIGIT, MASK, MINUS, PAD, Tokenizer
 from p2wss.nets.transformer import Encoder
 
 POSITION_WIDTH = 128
@@ -23,7 +23,9 @@ MAX_LOGIT_SCALE = math.log(100)
 # of pairs that do not match and of pairs that do (section 4.5)
 _MATCHING_WEIGHTS = (0.1, 0.9)
 # the weights that inference needs; the others serve training only
-INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.")
+INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.", "number_head.")
+# radians of a digit's period to which the deviation of a value is limited
+LEAST_SPREAD = 0.15
 
 
 class CloudEncoder(nn.Module):
@@ -188,6 +190,58 @@ class EdgeAttention(nn.Module):
         return self.out(value) * visible
 
 
+class NumberHead(nn.Module):
+    """Logits of digits from a value that the digits of a number share: the mirror of the numerical encoding.
+
+    Of each number a value v and its deviation s are linear in the features of its first digit. Digit d of place p has
+    the logit of a von Mises distribution, cos(2 pi (v - c) / 10^(p + 1)) / t^2: c is the middle of the numbers with
+    this digit, t is s in radians of the period, so that a deviation of decimetres says nothing of centimetres. From
+    classes alone a network hardly learns that a digit repeats ten times along a length: it learns metres, and all
+    decimetres stay equally probable.
+    """
+
+    def __init__(self, dim: int, tokenizer: Tokenizer) -> None:
+        super().__init__()
+        self.tokenizer = tokenizer
+        self.linear = nn.Linear(dim, 2)
+
+    def forward(self, x: Tensor, length: int, positions: Tensor | None = None) -> Tensor:
+        """Logits (b, r, vocabulary) of features ``x`` (b, r, dim) at the ``positions`` (r,) of sequences of ``length``,
+        by default all, with all digits of each number; zeros where there is no digit."""
+        place, first = self._digits(x, length, positions)
+        value, log_deviation = self._values(x[:, first])
+        period = 10.0 ** (torch.tensor(self.tokenizer.places, device=x.device) + 1) * NETWORK_SCALE
+        middle = (torch.arange(10, device=x.device) + 0.5) / 10
+        phase = (value[..., None] / period)[..., None] - middle
+        spread = 2 * math.pi * log_deviation.exp()[..., None] / period
+        weight = F.one_hot(place + 1, len(period) + 1)[:, 1:] / (spread.square() + LEAST_SPREAD**2)
+        return F.pad((weight[..., None] * (2 * math.pi * phase).cos()).flatten(-2), (FIRST_DIGIT, 0))
+
+    def loss(self, x: Tensor, tokens: Tensor, wanted: Tensor, token_value: Tensor) -> Tensor:
+        """Mean negative log-likelihood of the numbers of the ``tokens`` (b, l) whose first digits are ``wanted``, bool
+        (b, l), with Laplace distributions: the digits alone say little of a value that is still far off."""
+        place, first = self._digits(x, tokens.shape[1], None)
+        digit = token_value[tokens] * (place >= 0)
+        number = torch.zeros_like(digit).index_add_(1, first, digit) * NETWORK_SCALE
+        chosen = wanted & (place >= 0) & (first == torch.arange(len(first), device=x.device))
+        value, log_deviation = self._values(x[chosen])
+        likelihood = (value - number[chosen]).abs() * (-log_deviation).exp() + log_deviation
+        return likelihood.sum() / distributed.average_count(torch.tensor(len(value), device=x.device))
+
+    def _digits(self, x: Tensor, length: int, positions: Tensor | None) -> tuple[Tensor, Tensor]:
+        """The places (r,) of the digits at ``positions`` (-1: no digit), and the first of their number among them."""
+        place, rank = (row.to(x.device) for row in self.tokenizer.digits(length))
+        if positions is not None:
+            place, rank = place[positions], rank[positions]
+        return place, torch.arange(len(rank), device=x.device) - rank
+
+    def _values(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Values (...) in network units, and logarithms of their deviations, of features (..., dim)."""
+        # no matrix product, which bfloat16 would round to decimetres
+        numbers = (x.float()[..., None, :] * self.linear.weight).sum(-1) + self.linear.bias
+        return numbers[..., 0], numbers[..., 1]
+
+
 class Point2Wss(nn.Module):
     """Both branches, their token classifiers and alignment heads. ``sequence`` is the parameter branch."""
 
@@ -206,6 +260,7 @@ class Point2Wss(nn.Module):
             self.look = EdgeAttention(dim, config.num_heads)
         self.cloud_head = nn.Linear(dim, dvae_config.num_tokens)
         self.sequence_head = nn.Linear(dim, tokenizer.vocabulary_size)
+        self.number_head = NumberHead(dim, tokenizer) if config.numerical_decoding else None
         self.align_cloud = nn.Linear(dim, config.align_dim)
         self.align_sequence = nn.Linear(dim, config.align_dim)
         self.logit_scale = nn.Parameter(torch.tensor(INITIAL_LOGIT_SCALE))
@@ -256,16 +311,19 @@ class Point2Wss(nn.Module):
         sequence, sequence_masked = both.tensor_split([len(unmasked)])
         sequence_masked = self._add_edge_attention(sequence_masked, edges, cloud, patches, ground_z)
         sequence_fused = self.sequence_cross(sequence_masked, present, source=(cloud, valid))
-        restored = _mean_cross_entropy(self.sequence_head(sequence_fused[wanted]), tokens[wanted])  # (2)
+        words = self._words(sequence_fused, tokens.shape[1])
+        losses = {"sequence": _mean_cross_entropy(words[wanted], tokens[wanted])}  # (2)
+        if self.number_head is not None:
+            value = self.sequence.get_buffer("token_value")
+            losses["number"] = self.number_head.loss(sequence_fused, tokens, wanted, value)
         if not len(patch_masked):
-            return {"sequence": restored}
+            return losses
         cloud_fused = self.cloud_cross(
             cloud_masked, valid[first], embedding=position[first], source=(sequence, present[first])
         )
         cloud_logits = self.cloud_head(cloud_fused[:, 1:][patch_masked])
-        return {
+        return losses | {
             "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
-            "sequence": restored,
             "modal": self._modal_loss(cloud[first, 0], sequence[:, 0]),  # (3)
             "match": self._match_loss(cloud_fused[:, 0], sequence_fused[first, 0]),  # (4)
         }
@@ -316,7 +374,14 @@ class Point2Wss(nn.Module):
         x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, edges), present)
         x = self._add_edge_attention(x, edges, cloud, patches, ground_z)
         x = self.sequence_cross(x, present, source=(cloud, valid), positions=positions)
-        return self.sequence_head(x)
+        return self._words(x, tokens.shape[1], positions)
+
+    def _words(self, x: Tensor, length: int, positions: Tensor | None = None) -> Tensor:
+        """Logits (b, r, vocabulary) of features (b, r, dim) at the ``positions`` (r,), by default all."""
+        logits = self.sequence_head(x)
+        if self.number_head is None:
+            return logits
+        return logits + self.number_head(x, length, positions)
 
     def _edges(self, tokens: Tensor, num_vertices: Tensor) -> Tensor:
         value = self.sequence.get_buffer("token_value")

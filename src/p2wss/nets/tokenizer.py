@@ -193,6 +193,20 @@ class Tokenizer:
         kind = torch.cat([self._header[1], self._block[1].repeat(n)])
         return torch.cat([(kind == KIND_HEIGHT).nonzero()[:, 0], (kind == KIND_ANGLE).nonzero()[:, 0]])
 
+    def digits(self, length: int) -> tuple[Tensor, Tensor]:
+        """Of each position of sequences of this ``length``, int64 (length,): the index of its place in ``places``, and
+        how many digits of its number stand before it; -1 and 0 where there is no digit."""
+        block = [(self.x_slot + 1, self.coord_places), (self.y_slot + 1, self.coord_places)]
+        block += [(self.angle_slot, self.angle_places)]
+        header = [(self.header_length - len(self.height_places), self.height_places)]
+        layout = torch.stack([torch.full((length,), -1), torch.zeros(length, dtype=torch.int64)])
+        for row, numbers in ((layout[:, : self.header_length], header), (self.blocks(layout), block)):
+            for slot, places in numbers:
+                index = torch.tensor([self.places.index(place) for place in places])
+                row[0, ..., slot : slot + len(places)] = index
+                row[1, ..., slot : slot + len(places)] = torch.arange(len(places))
+        return layout[0], layout[1]
+
     def _digits(self, value: Tensor, places: tuple[int, ...]) -> Tensor:
         """(..., len(places)): digit tokens of non-negative integers in units of the last place."""
         powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=value.device)

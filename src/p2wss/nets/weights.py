@@ -24,6 +24,9 @@ from p2wss.storage.errors import InputError, reading
 
 _Network = TypeVar("_Network", bound=Module)
 
+# values of keys that files of older versions do not state
+_OLDER = {"numerical_decoding": False}
+
 
 def save_dvae(module: DiscreteVae, path: Path, code: str, metrics: str) -> None:
     """Write the tokenizer's weights, completely or not at all. ``metrics``: lines of ``metrics.jsonl``."""
@@ -63,7 +66,7 @@ def load_model(path: Path) -> Point2Wss:
     """A trained Point2WSS for inference. Raises :class:`InputError` for any other file."""
     state, metadata = read_weights(path, "model")
     with _compatible(path, metadata):
-        config = ModelConfig.model_validate(_settings(metadata["config"]))
+        config = ModelConfig.model_validate(_OLDER | _settings(metadata["config"]))
         dvae_config = DvaeConfig.model_validate(_settings(metadata["dvae_config"]))
         module = _built(lambda: Point2Wss(config, dvae_config), state)
         if tuple(metadata["vocabulary"]) != module.tokenizer.vocabulary:

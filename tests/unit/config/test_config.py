@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 import yaml
@@ -55,6 +56,22 @@ def test_a_new_key_at_its_neutral_value_reruns_nothing() -> None:
         assert ("similar_lengths" in config.section_json(settings, "model")) is is_stated
         assert ("similar_lengths" in training_config(settings.model)) is is_stated
         assert settings.model_dump()["model"]["similar_lengths"] is value
+
+
+def test_neutral_values_are_defaults() -> None:
+    """What is left out of a rule's parameters has to be what the command takes in its absence."""
+
+    def sections(model: type[Section]) -> Iterator[type[Section]]:
+        yield model
+        for each in model.__subclasses__():
+            yield from sections(each)
+
+    stated = [
+        (each.model_fields[key].default, value)
+        for each in sections(Section)
+        for key, value in each.neutral.items()
+    ]
+    assert len(stated) > 5 and all(default == value for default, value in stated)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import torch
 from torch.nn import functional as F
 
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
+from p2wss.nets.point2wss import EdgeAttention, NumberHead, Point2Wss, edge_features, inference_weights
 from p2wss.nets.tokenizer import (
     FIRST_DIGIT,
     KIND_ANGLE,
@@ -22,7 +22,7 @@ from p2wss.nets.tokenizer import (
 )
 from p2wss.training.masking import mask_patches
 
-from .test_tokenizer import buildings, length
+from .test_tokenizer import FORMATS, buildings, length
 
 DVAE = tiny_network.DVAE.model_copy(update={"num_tokens": 20})
 
@@ -215,11 +215,80 @@ def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
         patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], given[:3], wanted[:3], num[:3]
     )
     assert torch.allclose(some["sequence"], whole["sequence"], atol=1e-5)
+    assert torch.allclose(some["number"], whole["number"], atol=1e-5)
     for name in ("cloud", "modal", "match"):
         assert torch.allclose(some[name], alone[name], atol=1e-5)
         assert not torch.allclose(some[name], whole[name], atol=1e-4)
     none = model.losses(patches, torch.zeros(8), patch_masked[:0], labels[:0], tokens, given, wanted, num)
-    assert list(none) == ["sequence"] and torch.allclose(none["sequence"], whole["sequence"], atol=1e-5)
+    assert list(none) == ["sequence", "number"] and torch.allclose(
+        none["sequence"], whole["sequence"], atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_a_value_with_a_small_deviation_gives_the_digits_of_each_number(fmt: tuple[int, bool]) -> None:
+    """Features that state the number and its deviation, over whole sequences and over the targets of inference."""
+    tok = Tokenizer(*fmt)
+    height, xy, angle, num = buildings(3, 20)
+    tokens = tok.encode(tok.canonical(tok.quantise(height, xy, angle, num))[0])
+    place, rank = tok.digits(tokens.shape[1])
+    head = NumberHead(2, tok)
+    with torch.no_grad():
+        head.linear.weight.copy_(torch.eye(2))
+        head.linear.bias.zero_()
+    value = torch.zeros(tokens.shape, dtype=torch.float64)
+    for first in (rank == 0).nonzero()[:, 0].tolist():
+        count = 1 + int((torch.cumprod((rank[first + 1 :] > 0).long(), 0)).sum())
+        number = tok.token_value.double()[tokens[:, first : first + count]].sum(1)
+        # numbers are rounded: the middle of what has these digits
+        last = tok.places[place[first + count - 1]]
+        value[:, first] = (number + 0.5 * 10.0**last) / 10
+    x = torch.stack([value, torch.full_like(value, -9.0)], -1).float()
+    whole = head(x, tokens.shape[1])
+    is_digit = (tokens >= FIRST_DIGIT) & (place >= 0)
+    assert torch.equal(whole.argmax(-1)[is_digit], tokens[is_digit])
+    assert not whole[:, place < 0].any()
+    targets = tok.target_positions(int(num.max()))
+    assert torch.equal(head(x[:, targets], tokens.shape[1], targets), whole[:, targets])
+
+
+def test_a_deviation_of_decimetres_says_nothing_of_centimetres() -> None:
+    tok = Tokenizer()
+    head = NumberHead(2, tok)
+    with torch.no_grad():
+        head.linear.weight.copy_(torch.eye(2))
+        head.linear.bias.zero_()
+    x = torch.zeros(1, tok.header_length + 1, 2)
+    x[0, 2] = torch.tensor([0.7455, math.log(0.02)])  # 7.45 m, of 0.2 m
+    logits = head(x, tok.header_length + 1)[0]
+    probability = [logits[2 + i, tok.digit_tokens(place)].softmax(-1) for i, place in enumerate(tok.places)]
+    assert [int(p.argmax()) for p in probability[:3]] == [0, 7, 4]
+    assert probability[1][7] > 0.9 and 0.15 < probability[2][4] < 0.4
+    assert torch.allclose(probability[3], torch.full((10,), 0.1), atol=1e-3)
+
+
+def test_the_loss_of_numbers_is_least_at_their_values() -> None:
+    """Of the numbers that are wanted, and of no others."""
+    tok = Tokenizer()
+    height, xy, angle, num = buildings(4, 2)
+    tokens = tok.encode(tok.canonical(tok.quantise(height, xy, angle, num))[0])
+    head = NumberHead(2, tok)
+    with torch.no_grad():
+        head.linear.weight.copy_(torch.eye(2))
+        head.linear.bias.zero_()
+    kind = tok.kinds(tokens.shape, num)
+    x = torch.tensor([50.0, 0.0]).expand(*tokens.shape, 2).clone()
+    x[:, 2] = torch.stack([torch.round(height.float() * 100) / 1000, torch.zeros(2)], -1)
+
+    def loss(x: torch.Tensor) -> float:
+        return float(head.loss(x, tokens, kind == KIND_HEIGHT, tok.token_value))
+
+    assert loss(x) == pytest.approx(0, abs=1e-5)
+    for shift in (-0.1, 0.1):
+        other = x.clone()
+        other[0, 2, 0] += shift
+        assert loss(other) == pytest.approx(0.05, abs=1e-5)
+    assert float(head.loss(x, tokens, kind == KIND_ANGLE, tok.token_value)) > 40
 
 
 def test_inference_needs_only_the_parts_that_are_kept() -> None:
