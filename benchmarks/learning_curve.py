@@ -18,7 +18,6 @@ import torch
 from table1 import errors_of
 
 from p2wss.eval.cases import Case
-from p2wss.eval.masked import MaskedParameters, read_all_masked
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
 from p2wss.nets.weights import load_model
@@ -30,12 +29,12 @@ def figures(rows: list[Case], module: Point2Wss) -> dict[str, float]:
     buildings = [case.building for case in rows]
     given = predictor.predict([each.point_m for each in buildings], [each.rings for each in buildings])
     footprints_m = [each.rings[0] for each in buildings]
-    with_footprint = MaskedParameters(given.eave_height_m, footprints_m, given.angle_deg)
-    found = {"given": with_footprint, "masked": read_all_masked(buildings, predictor, signs_visible=True)}
+    masked = predictor.reconstruct_all_masked([each.point_m for each in buildings], footprints_m)
+    found = {"given": (given.eave_height_m, footprints_m, given.angle_deg), "masked": masked}
     means = {
         f"{title}, {key}": float(error.mean())
         for title, values in found.items()
-        for key, error in errors_of(rows, values).items()
+        for key, error in errors_of(rows, *values).items()
     }
     return {
         key: round(value, 4)

@@ -1,4 +1,4 @@
-"""Table 1 of the paper in its own protocol, all digits masked: the network alone, and in two passes with the fit.
+"""Table 1 of the paper in its own protocol, all digits masked, by the network alone.
 
     python benchmarks/table1.py results/shipped/crops/manifest.json --model models/point2wss.safetensors
     .. --scans results/shipped/scans --buildings results/shipped/buildings --buffer 4   # the same scan cropped again
@@ -11,7 +11,6 @@ manifest again, with another distance. The last line is JSON: each figure with i
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -20,23 +19,21 @@ from typing import Any
 
 import labelled
 import numpy as np
+from figures import Figures
 
 from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Config
 from p2wss.crops.simulated import crop_simulated
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
-from p2wss.eval.masked import MaskedParameters, fit_all_masked, read_all_masked
-from p2wss.eval.methods import for_dataset
 from p2wss.eval.parameters import target_height_m
 from p2wss.nets.predictor import load_predictor
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
 
-BARS = {"height_m": 0.17, "angle_deg": 2.34, "coordinate_m": 0.41}
-GOALS = {"height_m": 0.05, "angle_deg": 1.0, "coordinate_m": 0.20}
-NETWORK, TWO_PASSES = "network", "two passes"
+# those of the paper, on its own data
+BARS = {"height_m": 0.23, "angle_deg": 2.34, "coordinate_m": 0.41}
 
 
 def cropped_again(labelled_cases: list[Case], scans: Path, buildings: Path, buffer_m: float) -> list[Case]:
@@ -55,46 +52,43 @@ def cropped_again(labelled_cases: list[Case], scans: Path, buildings: Path, buff
     return result
 
 
-def errors_of(rows: list[Case], values: MaskedParameters) -> dict[str, np.ndarray]:
+def errors_of(
+    rows: list[Case], eave_height_m: np.ndarray, xy_m: list[np.ndarray], angle_deg: list[np.ndarray]
+) -> dict[str, np.ndarray]:
     """Absolute errors of the parameters, over all values."""
-    offset_m = np.concatenate(values.xy_m) - np.concatenate([case.building.rings[0] for case in rows])
+    offset_m = np.concatenate(xy_m) - np.concatenate([case.building.rings[0] for case in rows])
     truth_deg = np.concatenate([case.angle_deg for case in rows if case.angle_deg is not None])
     return {
-        "height_m": np.abs(values.eave_height_m - [target_height_m(case) for case in rows]),
-        "angle_deg": np.abs(np.concatenate(values.angle_deg) - truth_deg),
+        "height_m": np.abs(eave_height_m - [target_height_m(case) for case in rows]),
+        "angle_deg": np.abs(np.concatenate(angle_deg) - truth_deg),
         "coordinate_m": np.abs(offset_m).ravel(),
         "vertex_m": np.linalg.norm(offset_m, axis=1),
     }
 
 
-def figures(rows: list[Case], predictor: Any, title: str) -> dict[str, dict[str, float]]:
-    """Errors of both settings; prints them."""
+def errors_in(rows: list[Case], predictor: Any, title: str) -> dict[str, float]:
+    """Mean errors of the buildings that the network can take; prints them, also by number of vertices."""
     rows = [
         case
         for case in rows
         if len(case.building.rings) == 1 and len(case.building.rings[0]) <= predictor.max_num_vertices
     ]
-    buildings = [case.building for case in rows]
     start = time.process_time()
-    reading = read_all_masked(buildings, predictor, signs_visible=True)
-    network_s = time.process_time() - start
-    fitted = fit_all_masked(buildings, reading, predictor, for_dataset(Config().reconstruct, SIMULATED))
-    both_s = time.process_time() - start
-    result = {}
-    for name, values, seconds in ((NETWORK, reading, network_s), (TWO_PASSES, fitted, both_s)):
-        errors = errors_of(rows, values)
-        result[f"{title}, {name}"] = {key: float(error.mean()) for key, error in errors.items()}
-        text = ", ".join(f"{key} {error.mean():.3f} ± {error.std():.2f}" for key, error in errors.items())
-        print(f"{title}, {name}: {len(rows)} buildings, {text}, {1000 * seconds / len(rows):.0f} ms CPU")
-    for count in sorted({len(case.building.rings[0]) for case in rows}):
-        index = [i for i, case in enumerate(rows) if len(case.building.rings[0]) == count]
-        part = MaskedParameters(
-            fitted.eave_height_m[index], [fitted.xy_m[i] for i in index], [fitted.angle_deg[i] for i in index]
+    height_m, xy_m, angle_deg = predictor.reconstruct_all_masked(
+        [case.building.point_m for case in rows], [case.building.rings[0] for case in rows]
+    )
+    cpu_ms = 1000 * (time.process_time() - start) / len(rows)
+    errors = errors_of(rows, height_m, xy_m, angle_deg)
+    text = ", ".join(f"{key} {error.mean():.3f} ± {error.std():.2f}" for key, error in errors.items())
+    print(f"{title}: {len(rows)} buildings, {text}, {cpu_ms:.0f} ms CPU")
+    for count in sorted(set(map(len, xy_m))):
+        index = [i for i, each in enumerate(xy_m) if len(each) == count]
+        part = errors_of(
+            [rows[i] for i in index], height_m[index], [xy_m[i] for i in index], [angle_deg[i] for i in index]
         )
-        errors = errors_of([rows[i] for i in index], part)
-        text = ", ".join(f"{key} {errors[key].mean():.3f}" for key in BARS)
+        text = ", ".join(f"{key} {part[key].mean():.3f}" for key in BARS)
         print(f"    {len(index)} with {count} vertices: {text}", flush=True)
-    return result
+    return {key: float(error.mean()) for key, error in errors.items()}
 
 
 def main() -> int:
@@ -108,19 +102,15 @@ def main() -> int:
     arguments = parser.parse_args()
     predictor = load_predictor(arguments.model)
     rows = labelled.read(arguments.manifest)[:: arguments.every]
-    found = figures(rows, predictor, "as cropped")
+    result = Figures()
+    errors = errors_in(rows, predictor, "as cropped")
+    result.row("as cropped", errors)
+    for key, bar in BARS.items():
+        result.at_most(key, errors[key], bar)
     for buffer_m in arguments.buffer:
         again = cropped_again(rows, arguments.scans, arguments.buildings, buffer_m)
-        found |= figures(again, predictor, f"crop of {buffer_m:g} m")
-    summary: dict[str, Any] = {}
-    for title, errors in found.items():
-        for key, value in errors.items():
-            entry: dict[str, Any] = {"value": round(value, 3)}
-            if title == f"as cropped, {TWO_PASSES}" and key in BARS:
-                entry |= {"bar": BARS[key], "ok": bool(value <= BARS[key]), "goal": GOALS[key]}
-            summary[f"{title}, {key}"] = entry
-    print(json.dumps(summary))
-    return int(not all(entry.get("ok", True) for entry in summary.values()))
+        result.row(f"crop of {buffer_m:g} m", errors_in(again, predictor, f"crop of {buffer_m:g} m"))
+    return result.end()
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,18 +12,27 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Medians
-from p2wss.eval.masked import MaskedPredictor, fit_all_masked, read_all_masked
 from p2wss.reconstruct.flat import constant, lod1
-from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.network import Predictor, reconstruct_with_network
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT, reconstruct_buildings
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 
 # the settings of Table 1 with the footprint hidden from the network, written by the method "masked": as in the paper
-# (signs visible), in two passes with a fit (p2wss.eval.masked), with the signs masked too
-MASKED = ("all_masked", "all_masked_fit", "all_masked_signs")
+# (signs visible), and with the signs masked too
+MASKED = ("all_masked", "all_masked_signs")
 WITH_NETWORK = (NETWORK, NETWORK_AND_FIT, "masked")
 NAMES = (NETWORK, NETWORK_AND_FIT, FIT, "masked", "lod1", "constant", roofer.METHOD)
+
+
+class MaskedPredictor(Predictor, Protocol):
+    """The part of :class:`p2wss.nets.predictor.Point2WssPredictor` that Table 1 needs."""
+
+    def reconstruct_all_masked(
+        self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
+    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+        """Heights (b,), footprints (v, 2) and angles (v,) with all numerical tokens masked."""
+        ...
 
 
 class Inputs(NamedTuple):
@@ -88,16 +97,12 @@ def _masked(cases: Sequence[Case], predictor: MaskedPredictor, config: Reconstru
         and len(case.building.rings) == 1
         and len(case.building.rings[0]) <= predictor.max_num_vertices
     ]
-    reading = read_all_masked(buildings, predictor, signs_visible=True)
-    fitted = fit_all_masked(buildings, reading, predictor, config)
-    without_signs = read_all_masked(buildings, predictor, signs_visible=False)
-    return [
-        replace(
-            no_mesh(building, method, "ok"),
-            rings=[parameters.xy_m[i]],
-            eave_height_m=float(parameters.eave_height_m[i]),
-            angle_deg=parameters.angle_deg[i],
-        )
-        for method, parameters in zip(MASKED, (reading, fitted, without_signs), strict=True)
-        for i, building in enumerate(buildings)
-    ]
+    clouds_m = [building.point_m for building in buildings]
+    footprints_m = [building.rings[0] for building in buildings]
+    result = []
+    for method in MASKED if buildings else ():
+        readings = predictor.reconstruct_all_masked(clouds_m, footprints_m, method == MASKED[0])
+        for building, height_m, xy_m, angle_deg in zip(buildings, *readings, strict=True):
+            row = no_mesh(building, method, "ok")
+            result.append(replace(row, rings=[xy_m], eave_height_m=float(height_m), angle_deg=angle_deg))
+    return result

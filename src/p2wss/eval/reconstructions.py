@@ -31,7 +31,7 @@ RECONSTRUCTIONS = pa.schema(
             "method",
             pa.string(),
             "point2wss, point2wss+fit, fit, lod1, constant or roofer; with the footprint hidden from the network: "
-            "all_masked, all_masked_fit or all_masked_signs, then without a mesh",
+            "all_masked or all_masked_signs, then without a mesh",
         ),
         *STATUS,
         *FRAME,

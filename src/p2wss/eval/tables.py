@@ -42,7 +42,6 @@ PAPER_TABLE_2 = {
 }
 SETTINGS_1 = {
     "all_masked": "Point2WSS, all masked",
-    "all_masked_fit": "Point2WSS + fit, all masked",
     "all_masked_signs": "Point2WSS, signs masked too",
     NETWORK: "Point2WSS, footprint given",
     NETWORK_AND_FIT: "Point2WSS + fit",
