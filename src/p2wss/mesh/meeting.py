@@ -89,7 +89,8 @@ def with_meeting_planes(
             is_here = (is_own[of_slot] & is_there).any(axis=1) | (together[num:] == number)
             places = vertex_m[is_here], of_slot[is_here], is_there[is_here]
             vertex_m[is_here] = _met(equations, change, is_own, *places)
-    apart_m = np.abs(_at_places(equations, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
+        off_m = _at_places(equations, change, vertex_m, of_slot, is_there)[1]
+    apart_m = np.abs(off_m).max(axis=1)
     moved_m = vertex_m[place]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
@@ -145,16 +146,18 @@ def _equations(mesh: Mesh, corner: np.ndarray, free: Collection[int]) -> _Equati
     np.add.at(to_height, plane, (lever * from_base[:, 2:])[..., None])
     row = planes.normal.copy()
     is_roof = (planes.kind != FaceKind.WALL) & (planes.kind != FaceKind.GROUND)
-    fitted = (np.linalg.pinv(square[is_roof], _THIN, hermitian=True) @ to_height[is_roof])[..., 0]
-    row[is_roof] = np.column_stack([fitted[:, :2], np.full(len(fitted), -1)])
     stiff = np.ones((len(size), 3))
     stiff[planes.kind == FaceKind.FLAT, :2] = _STIFF
     length, axes = np.linalg.eigh(square * stiff[:, None] * stiff[..., None])
+    # the least squares of all planes; numpy's own inverses take several times as long for a few of three rows
+    inverse = np.where(length > _THIN * length[:, 2:], 1 / np.maximum(length, 1e-300), 0.0)
+    fitted = axes @ (inverse[..., None] * (axes.transpose(0, 2, 1) @ (stiff[..., None] * to_height)))
+    row[is_roof] = np.column_stack([(stiff * fitted[..., 0])[:, :2], np.full(len(size), -1)])[is_roof]
     scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
     # walls shift only, unless they stand on a floor
-    on_floor = np.unique(vertex[planes.kind[plane] == FaceKind.GROUND])
-    stays = np.zeros(len(size), bool)
-    stays[plane[np.isin(vertex, on_floor)]] = True
+    on_floor, stays = np.zeros(len(mesh.vertex_m), bool), np.zeros(len(size), bool)
+    on_floor[vertex[planes.kind[plane] == FaceKind.GROUND]] = True
+    stays[plane[on_floor[vertex]]] = True
     stays[list(free)] = False
     stays[planes.kind == FaceKind.GROUND] = True
     scale[~is_roof] = 0

@@ -10,6 +10,7 @@ import numpy as np
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.mesh.rules import WRITING, Breach, breaches
+from p2wss.mesh.topology import unique_rows
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
 SCALE_M = 1e-4
@@ -21,8 +22,7 @@ def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarra
     Vertices that are at one place in the file are one, so a ring may become shorter; it is dropped below three.
     """
     grid = np.round(np.asarray(vertex_m, float).reshape(-1, 3) / SCALE_M).astype(np.int64)
-    place, index = np.unique(grid, axis=0, return_inverse=True)
-    index = index.reshape(-1)
+    place, index = unique_rows(grid)
     result = []
     for surface in surfaces:
         rings = [_without_repeats(index[np.asarray(ring)]) for ring in surface.rings]
