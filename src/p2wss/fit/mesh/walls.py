@@ -49,7 +49,7 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     np.logical_or.at(on_edge, np.repeat(face, 3), distance_m[triangle.ravel()] <= _NEAR_M)
     on_edge &= is_wall[:, None] & (normal[:, :2] @ outward.T >= np.sqrt(1 - _MAX_SINE**2))
 
-    is_outer = on_edge.any(axis=1)[face]
+    is_outer = np.asarray(on_edge.any(axis=1))[face]
     pairs = unique_rows(np.column_stack([triangle[is_outer].ravel(), np.repeat(face[is_outer], 3)]))[0]
     reach = np.where(on_edge[pairs[:, 1]], distance_m[pairs[:, 0]], np.inf)
     edge, gap_m = reach.argmin(axis=1), reach.min(axis=1)
