@@ -68,7 +68,9 @@ class Mesh:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        # surfaces are stored once more with a reconstruction, and what follows from them is slow to find
+        kept = (*(field.name for field in fields(self)), "surfaces")
+        return {name: value for name, value in vars(self).items() if name in kept}
 
     def moved(self, vertex_m: np.ndarray) -> Mesh:
         """The same triangles with other places of the vertices, (v, 3), which turn no face over."""
@@ -132,7 +134,7 @@ class Mesh:
     @cached_property
     def surfaces(self) -> list[Surface]:
         """The faces as polygons, in the order of their numbers."""
-        return surfaces_of(self.vertex_m, self.triangle, self.kind, self.label, self.face)
+        return surfaces_of(self.vertex_m, self.triangle, self.kind, self.label, self.face, self.twin)
 
     @cached_property
     def planes(self) -> Planes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
@@ -50,18 +51,46 @@ def doubled_plan_areas(corner_m: np.ndarray) -> np.ndarray:
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-def border_rings(triangle: np.ndarray) -> list[list[int]]:
-    """The rings of vertices along the sides that have no triangle on the other side, each in the direction of its
-    triangles (t, 3) and from its smallest vertex; no two rings may touch."""
-    is_border = twins(triangle) < 0
-    following = dict(zip(triangle[is_border].tolist(), triangle[:, NEXT][is_border].tolist(), strict=True))
-    result = []
-    while following:
-        ring = [min(following)]
-        while (vertex := following.pop(ring[-1])) != ring[0]:
-            ring.append(vertex)
-        result.append(ring)
-    return result
+def border_rings(triangle: np.ndarray, face: np.ndarray, twin: np.ndarray) -> list[tuple[int, list[int]]]:
+    """(face, vertices) of the rings along the sides that have no triangle of the same face on the other side, in the
+    order of their first sides, each in the direction of its triangles (t, 3). face: (t,). twin: see :func:`twins`.
+
+    From a side the next one is found by turning around their common vertex within the face. So where two borders of a
+    face touch in a vertex, one may lead to the other.
+    """
+    half, is_first = _border_sides(face, twin.ravel())
+    vertex, number = triangle.ravel()[half].tolist(), face[half // 3].tolist()
+    first = np.flatnonzero(is_first).tolist()
+    return [
+        (number[start], vertex[start:end]) for start, end in zip(first, [*first[1:], len(half)], strict=True)
+    ]
+
+
+@entry
+def _border_sides(face: np.ndarray, twin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(half-edges (n,) of the borders of faces, ring after ring; whether each begins a ring)."""
+    is_border = np.ones(len(twin), np.bool_)
+    for half in range(len(twin)):
+        is_border[half] = twin[half] < 0 or face[twin[half] // 3] != face[half // 3]
+    result, is_first, is_pending = (
+        np.empty(len(twin), np.int64),
+        np.zeros(len(twin), np.bool_),
+        is_border.copy(),
+    )
+    num = 0
+    for first in range(len(twin)):
+        half = first
+        while is_pending[half]:
+            result[num], is_first[num], is_pending[half] = half, half == first, False
+            num += 1
+            half += 1 if half % 3 < 2 else -2
+            # at most once around, as a surface that is no manifold may lead in circles
+            for _ in range(len(twin)):
+                if is_border[half]:
+                    break
+                half = twin[half]
+                half += 1 if half % 3 < 2 else -2
+    return result[:num], is_first[:num]
 
 
 def face_numbers(triangle: np.ndarray, label: np.ndarray) -> np.ndarray:
