@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
-from p2wss.skeleton.compiled import both, entry
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind, writable
 
@@ -25,8 +25,6 @@ _NUM_ROUNDS = 4
 _TOGETHER = 200
 # a triangle is turned over if twice its area along its former normal is less than minus this
 _NO_AREA_M2 = 1e-6
-# sweeps over a matrix, each of which squares what is left beside its diagonal
-_NUM_SWEEPS = 10
 
 
 def with_meeting_planes(
@@ -43,14 +41,10 @@ def with_meeting_planes(
     for those planes that are ``free`` to shift, too. Conditions are linear in the changes of the planes while vertices
     stay; as they follow their planes, the least squares are solved a few times.
     """
-    planes, kind = mesh.planes, mesh.planes.kind
-    num = len(kind)
+    planes = mesh.planes
+    num = len(planes.kind)
     vertex, plane = np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num)
-    is_floor, is_free = kind == FaceKind.GROUND, np.zeros(num, bool)
-    is_free[list(free)] = True
-    is_roof, stiff = ~is_floor & (kind != FaceKind.WALL), np.where(kind == FaceKind.FLAT, _STIFF, 1.0)
-    vertex_m, normal = (writable(each, np.float64) for each in (mesh.vertex_m, planes.normal))
-    row, scale = _equations(vertex_m, vertex, plane, normal, is_roof, is_floor, is_free, stiff)
+    row, scale = _equations(mesh, vertex, plane, free)
     _, place = np.unique(place, return_inverse=True)
     further = np.array(list(more), int).reshape(-1, 2)
     pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
@@ -62,7 +56,7 @@ def with_meeting_planes(
     is_off = apart_m >= _EXACT_M
     if is_off.any():
         # places where planes depend on each other, as more meet than a point needs
-        moves, num_spare = scale.any(axis=(1, 2)), np.bincount(at) - _inverses(row[plane], at)[1]
+        moves, num_spare = np.asarray(scale.any(axis=(1, 2))), np.bincount(at) - _inverses(row[plane], at)[1]
         is_linked = moves[plane] & (is_off | (num_spare > 0))[at]
         part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
         parts, size_of = np.unique(part, return_counts=True)
@@ -86,26 +80,47 @@ def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
-@entry
 def _equations(
-    vertex_m: np.ndarray,
-    vertex: np.ndarray,
-    plane: np.ndarray,
-    normal: np.ndarray,
-    is_roof: np.ndarray,
-    is_floor: np.ndarray,
-    is_free: np.ndarray,
-    stiff: np.ndarray,
+    mesh: Mesh, vertex: np.ndarray, plane: np.ndarray, free: Collection[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(rows (p, 4), scales (p, 4, 3)) of planes.
+    """(rows (p, 4), scales (p, 4, 3)) of the planes of a mesh.
 
     How far a point is from a plane is the product of its coordinates and a 1 with the row. For roofs, that has the
     slopes and -1, for others the normal. A change of a plane, times the scale, is one of the row; so scaled, it is as
-    long as that of its vertices' heights. vertex, plane: each pair of them. is_free: planes that may shift though they
-    are walls on floors. stiff: how much more the heights count that slopes make.
+    long as that of its vertices' heights. vertex, plane: each pair of them. free: planes that may shift though they are
+    walls on floors.
     """
-    num, on_floor = len(normal), np.zeros(len(vertex_m), np.bool_)
-    size, base, stays = np.zeros(num), np.zeros((num, 3)), is_floor.copy()
+    kind, normal = mesh.planes.kind, mesh.planes.normal
+    is_floor, is_wall = kind == FaceKind.GROUND, kind == FaceKind.WALL
+    is_roof, stiff = ~is_floor & ~is_wall, np.where(kind == FaceKind.FLAT, _STIFF, 1.0)
+    vertex_m = writable(mesh.vertex_m, np.float64)
+    base, square, to_height, stays = _moments(vertex_m, vertex, plane, is_floor, stiff)
+    length, axes = np.linalg.eigh(square)
+    # the least squares of all planes
+    weight = np.where(length > _THIN * length[:, 2:], 1 / np.maximum(length, 1e-300), 0.0)
+    fitted = axes @ (weight[..., None] * (axes.transpose(0, 2, 1) @ to_height[..., None]))
+    row, scale = np.zeros((len(kind), 4)), np.zeros((len(kind), 4, 3))
+    slopes = np.column_stack([stiff[:, None] * fitted[:, :2, 0], np.full(len(kind), -1)])
+    row[:, :3] = np.where(is_roof[:, None], slopes, normal)
+    row[:, 3] = -(row[:, :3] * base).sum(axis=1)
+    scale[:, [0, 1, 3]] = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
+    # walls shift only, unless they stand on a floor
+    stays[list(free)] = False
+    scale[~is_roof] = 0
+    scale[~is_roof, 3, 2] = np.where(stays | is_floor, 0, 1 / np.sqrt(np.bincount(plane)))[~is_roof]
+    scale[:, 3] -= (base[:, :2, None] * scale[:, :2]).sum(axis=1)
+    return row, scale
+
+
+@entry
+def _moments(
+    vertex_m: np.ndarray, vertex: np.ndarray, plane: np.ndarray, is_floor: np.ndarray, stiff: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(mean (p, 3) of the vertices of each plane, sums of squares (p, 3, 3) of their places and a 1, sums of the
+    products of these with heights (p, 3), whether one of them is on a floor). stiff: how much more the heights that
+    slopes make count."""
+    num, on_floor = len(stiff), np.zeros(len(vertex_m), np.bool_)
+    size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
     for k, p in enumerate(plane):
         size[p] += 1
         base[p] += vertex_m[vertex[k]]
@@ -113,29 +128,12 @@ def _equations(
     base /= size.reshape(-1, 1)
     square, to_height, lever = np.zeros((num, 3, 3)), np.zeros((num, 3)), np.ones(3)
     for k, p in enumerate(plane):
-        # walls shift only, unless they stand on a floor
-        stays[p] |= on_floor[vertex[k]] and not is_free[p]
+        stands[p] |= on_floor[vertex[k]]
         lever[:2] = stiff[p] * (vertex_m[vertex[k], :2] - base[p, :2])
         for a in range(3):
             to_height[p, a] += lever[a] * (vertex_m[vertex[k], 2] - base[p, 2])
             square[p, a] += lever[a] * lever
-    length, axes = _eigen(square)
-    row, scale = np.zeros((num, 4)), np.zeros((num, 4, 3))
-    for p in range(num):
-        row[p, :3] = normal[p]
-        if is_roof[p]:
-            row[p, 0], row[p, 1], row[p, 2] = 0.0, 0.0, -1.0
-            for k in range(3):
-                axis = axes[p, :, k]
-                if length[p, k] > _THIN * length[p].max():
-                    row[p, :2] += stiff[p] * axis[:2] * (axis * to_height[p]).sum() / length[p, k]
-                scale[p, :2, k] = axis[:2] / np.sqrt(max(length[p, k], _EXACT_M))
-                scale[p, 3, k] = axis[2] / np.sqrt(max(length[p, k], _EXACT_M))
-        elif not stays[p]:
-            scale[p, 3, 2] = 1 / np.sqrt(size[p])
-        row[p, 3] = -(row[p, :3] * base[p]).sum()
-        scale[p, 3] -= base[p, 0] * scale[p, 0] + base[p, 1] * scale[p, 1]
-    return row, scale
+    return base, square, to_height, stands
 
 
 def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
@@ -179,8 +177,8 @@ def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(what the products of rows and distances, summed, are multiplied by for the way to where planes meet, (n, 3, 3);
     the number of directions that they determine, (n,)). row: (k, 4), at ascending places ``at``."""
     square = np.add.reduceat(row[:, :3, None] * row[:, None, :3], np.flatnonzero(np.diff(at, prepend=-1)))
-    length, axes = _eigen(square)
-    is_long = length > _RANK**2 * length.max(axis=1, keepdims=True)
+    length, axes = np.linalg.eigh(square)
+    is_long = length > _RANK**2 * length[:, 2:]
     return axes * (is_long / np.where(is_long, length, 1))[:, None] @ axes.transpose(0, 2, 1), is_long.sum(
         axis=1
     )
@@ -212,32 +210,3 @@ def _sums(
                     for b in range(3 if unknown[j] >= 0 else 0):
                         matrix[3 * unknown[i] + a, 3 * unknown[j] + b] += apart * lever[i, a] * lever[j, b]
     return matrix, right
-
-
-@both
-def _eigen(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(eigenvalues (n, 3), eigenvectors (n, 3, 3), the columns) of symmetric matrices, by rotations (Jacobi, 1846);
-    numpy takes several times as long for three rows. The matrices become diagonal."""
-    length, axes = np.empty((len(square), 3)), np.zeros((len(square), 3, 3))
-    for number in range(len(square)):
-        matrix, own = square[number], axes[number]
-        for k in range(3):
-            own[k, k] = 1.0
-        for _ in range(_NUM_SWEEPS):
-            for p, q in ((0, 1), (0, 2), (1, 2)):
-                if matrix[p, q] != 0.0:
-                    ratio = (matrix[q, q] - matrix[p, p]) / (2 * matrix[p, q])
-                    tangent = (1.0 if ratio >= 0 else -1.0) / (abs(ratio) + np.sqrt(ratio * ratio + 1))
-                    cosine = 1 / np.sqrt(tangent * tangent + 1)
-                    sine = tangent * cosine
-                    for k in range(3):
-                        a, b, c, d = matrix[k, p], matrix[k, q], own[k, p], own[k, q]
-                        matrix[k, p], matrix[k, q] = cosine * a - sine * b, sine * a + cosine * b
-                        own[k, p], own[k, q] = cosine * c - sine * d, sine * c + cosine * d
-                    for k in range(3):
-                        a, b = matrix[p, k], matrix[q, k]
-                        matrix[p, k], matrix[q, k] = cosine * a - sine * b, sine * a + cosine * b
-                    matrix[p, q] = matrix[q, p] = 0.0
-        for k in range(3):
-            length[number, k] = matrix[k, k]
-    return length, axes
