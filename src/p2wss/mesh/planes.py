@@ -19,23 +19,20 @@ _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
 
 @entry
 def face_planes(
-    vertex_m: np.ndarray, triangle: np.ndarray, beside: np.ndarray
+    vertex_m: np.ndarray,
+    triangle: np.ndarray,
+    beside: np.ndarray,
+    doubled_m2: np.ndarray,
+    longest_m: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(kind uint8, plane int32) of every triangle. Planes grow from the largest triangles, whose normals are the most
-    accurate. beside: int (t, 3), the triangle across each side, -1 for none."""
-    num = len(triangle)
-    normal, area, is_sliver = np.empty((num, 3)), np.empty(num), np.empty(num, np.bool_)
-    for t in range(num):
-        a, b, c = vertex_m[triangle[t, 0]], vertex_m[triangle[t, 1]], vertex_m[triangle[t, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area[t] = np.sqrt(nx * nx + ny * ny + nz * nz)
-        length = max(area[t], 1e-12)
-        normal[t, 0], normal[t, 1], normal[t, 2] = nx / length, ny / length, nz / length
-        wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
-        longest2 = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
-        is_sliver[t] = area[t] < 2 * _COPLANAR_M * np.sqrt(longest2)
+    accurate. beside: int (t, 3), the triangle across each side, -1 for none. doubled_m2: normals (t, 3), as long as
+    twice the areas. longest_m: (t,), the longest sides."""
+    num, area = len(triangle), np.sqrt((doubled_m2 * doubled_m2).sum(axis=1))
+    normal, is_sliver = (
+        doubled_m2 / np.maximum(area, 1e-12).reshape(-1, 1),
+        area < 2 * _COPLANAR_M * longest_m,
+    )
     kind, plane = np.zeros(num, np.uint8), np.full(num, -1, np.int32)
     pending = np.empty(num, np.int64)
     number = -1
