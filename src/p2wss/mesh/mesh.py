@@ -47,10 +47,7 @@ class Mesh:
     @classmethod
     def of_triangles(cls, vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
         """A closed mesh whose planes are found from its triangles (:func:`p2wss.mesh.planes.face_planes`)."""
-        doubled_m2 = topology.doubled_areas(vertex_m[triangle])
-        longest_m = np.linalg.norm(vertex_m[triangle] - vertex_m[triangle[:, NEXT]], axis=2).max(axis=1)
-        beside = topology.twins(triangle) // 3
-        return cls(vertex_m, triangle, *face_planes(vertex_m, triangle, beside, doubled_m2, longest_m))
+        return cls(vertex_m, triangle, *face_planes(vertex_m, triangle))
 
     @classmethod
     def empty(cls) -> Mesh:

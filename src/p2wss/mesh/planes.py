@@ -1,11 +1,11 @@
-"""Which triangles of a closed mesh lie in one plane, compiled."""
+"""Which triangles of a closed mesh lie in one plane."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from p2wss.mesh.topology import NEXT, doubled_areas, twins
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.ordering import stable_order
 from p2wss.skeleton.types import FaceKind
 
 # vertices within this distance of a roof, and of a wall, lie in it: heights nearer than the first are one, but walls
@@ -17,26 +17,33 @@ _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
 
 
+def face_planes(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(kind uint8, plane int32) of every triangle (t, 3) of a closed mesh. Planes grow from the largest triangles,
+    whose normals are the most accurate."""
+    corner_m = vertex_m[triangle]
+    normal, side_m = doubled_areas(corner_m), np.linalg.norm(corner_m - corner_m[:, NEXT], axis=2)
+    area = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(area, 1e-12)[:, None]
+    is_sliver = area < 2 * _COPLANAR_M * side_m.max(axis=1)
+    order = np.argsort(-area, kind="stable")
+    return _grown(vertex_m, triangle, twins(triangle) // 3, normal, is_sliver, order)
+
+
 @entry
-def face_planes(
+def _grown(
     vertex_m: np.ndarray,
     triangle: np.ndarray,
     beside: np.ndarray,
-    doubled_m2: np.ndarray,
-    longest_m: np.ndarray,
+    normal: np.ndarray,
+    is_sliver: np.ndarray,
+    order: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(kind uint8, plane int32) of every triangle. Planes grow from the largest triangles, whose normals are the most
-    accurate. beside: int (t, 3), the triangle across each side, -1 for none. doubled_m2: normals (t, 3), as long as
-    twice the areas. longest_m: (t,), the longest sides."""
-    num, area = len(triangle), np.sqrt((doubled_m2 * doubled_m2).sum(axis=1))
-    normal, is_sliver = (
-        doubled_m2 / np.maximum(area, 1e-12).reshape(-1, 1),
-        area < 2 * _COPLANAR_M * longest_m,
-    )
+    """The same. beside: int (t, 3), the triangle across each side, -1 for none. order: of the triangles."""
+    num = len(triangle)
     kind, plane = np.zeros(num, np.uint8), np.full(num, -1, np.int32)
     pending = np.empty(num, np.int64)
     number = -1
-    for seed in stable_order(-area):
+    for seed in order:
         number += 1
         if plane[seed] >= 0:
             continue
