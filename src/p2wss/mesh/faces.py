@@ -47,7 +47,6 @@ def surfaces_of(
     rings: list[list[np.ndarray]] = [[] for _ in first]
     for number, ring in border_rings(triangle, face, twin):
         rings[number] += simple_rings(ring)
-    vertex_m = np.asarray(vertex_m, float)
     return [
         Surface(int(kind[t]), int(label[t]), _exterior_first(vertex_m, rings[number]), number)
         for number, t in enumerate(first)

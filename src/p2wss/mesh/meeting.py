@@ -155,8 +155,6 @@ def _met(
     num, unknown = int(moves.sum()), np.where(moves, np.cumsum(moves) - 1, -1)[plane]
     begin = np.searchsorted(at, np.arange(len(point_m) + 1))
     inverse, _ = _inverses(row[plane], at)
-    total = np.zeros((num, 3))
-    start = row[moves]
     for _ in range(_NUM_ROUNDS):
         off_m = (row[plane] * point_m[at]).sum(axis=1)
         if np.abs(off_m).max() < _EXACT_M:
@@ -164,8 +162,8 @@ def _met(
         lever = (point_m[at, None] @ scale[plane])[:, 0]
         matrix, right = _sums(row[plane], off_m, lever, inverse, begin, unknown, num)
         matrix.flat[:: 3 * num + 1] += _NO_CHANGE
-        total -= np.linalg.solve(matrix, right).reshape(num, 3)
-        row[moves] = start + (scale[moves] @ total[..., None])[..., 0]
+        change = np.linalg.solve(matrix, right).reshape(num, 3, 1)
+        row[moves] -= (scale[moves] @ change)[..., 0]
         inverse, _ = _inverses(row[plane], at)
         off_m = (row[plane] * point_m[at]).sum(axis=1)
         way_m = np.add.reduceat(row[plane, :3] * off_m[:, None], begin[:-1])

@@ -163,14 +163,13 @@ class Mesh:
 class Planes:
     """The planes of a mesh, numbered from 0 in the order of their labels.
 
-    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. offset_m:
-    (p,), distances from the origin along the normals. area_m2: (p,). triangle, num_vertices: of the mesh.
+    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. area_m2:
+    (p,). triangle, num_vertices: of the mesh.
     """
 
     number: np.ndarray
     kind: np.ndarray
     normal: np.ndarray
-    offset_m: np.ndarray
     area_m2: np.ndarray
     triangle: np.ndarray
     num_vertices: int
@@ -182,10 +181,9 @@ class Planes:
         normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
         twice_m2 = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
-        kind, offset_m = np.zeros(len(normal), np.uint8), np.zeros(len(normal))
+        kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
-        offset_m[number] = (normal[number] * mesh.corner_m[:, 0]).sum(axis=1)
-        return cls(number, kind, normal, offset_m, twice_m2 / 2, mesh.triangle, len(mesh.vertex_m))
+        return cls(number, kind, normal, twice_m2 / 2, mesh.triangle, len(mesh.vertex_m))
 
     @cached_property
     def at(self) -> list[set[int]]:
@@ -195,17 +193,6 @@ class Planes:
             for vertex in corners:
                 result[vertex].add(plane)
         return result
-
-    def table(self, vertices: Sequence[int]) -> np.ndarray:
-        """int64 (n, k): the planes of each of some vertices in ascending order, -1 beyond the last."""
-        rows = [sorted(self.at[vertex]) for vertex in vertices]
-        num = max(map(len, rows), default=0)
-        return np.array([row + [-1] * (num - len(row)) for row in rows], np.int64).reshape(len(rows), num)
-
-    @property
-    def is_roof(self) -> np.ndarray:
-        """bool (p,): planes that face upwards."""
-        return self.normal[:, 2] > _UPRIGHT_NZ
 
     @property
     def is_wall(self) -> np.ndarray:

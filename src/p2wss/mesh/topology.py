@@ -58,7 +58,9 @@ def border_rings(triangle: np.ndarray, face: np.ndarray, twin: np.ndarray) -> li
     From a side the next one is found by turning around their common vertex within the face. So where two borders of a
     face touch in a vertex, one may lead to the other.
     """
-    half, is_first = _border_sides(face, twin.ravel())
+    other = twin.ravel()
+    is_border = (other < 0) | (face[other // 3] != np.repeat(face, 3))
+    half, is_first = _border_sides(is_border, other)
     vertex, number = triangle.ravel()[half].tolist(), face[half // 3].tolist()
     first = np.flatnonzero(is_first).tolist()
     return [
@@ -67,11 +69,8 @@ def border_rings(triangle: np.ndarray, face: np.ndarray, twin: np.ndarray) -> li
 
 
 @entry
-def _border_sides(face: np.ndarray, twin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _border_sides(is_border: np.ndarray, twin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(half-edges (n,) of the borders of faces, ring after ring; whether each begins a ring)."""
-    is_border = np.ones(len(twin), np.bool_)
-    for half in range(len(twin)):
-        is_border[half] = twin[half] < 0 or face[twin[half] // 3] != face[half // 3]
     result, is_first, is_pending = (
         np.empty(len(twin), np.int64),
         np.zeros(len(twin), np.bool_),
