@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -35,7 +36,7 @@ class Building:
     stated_height_m: float = float("nan")
     around_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
-    @property
+    @cached_property
     def polygon(self) -> shapely.Polygon:
         """The footprint, relative to ``origin_xy_m``, metres."""
         return shapely.Polygon(self.rings[0], self.rings[1:])
@@ -45,7 +46,7 @@ class Building:
         """(3,), the place of the origin, at the ground, in the CRS of the cloud."""
         return np.array([*self.origin_xy_m, self.ground_z_m])
 
-    @property
+    @cached_property
     def is_on_building(self) -> np.ndarray:
         """Mask of the points on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
         return points_on_building(self.polygon, self.point_m, self.classification)

@@ -17,7 +17,7 @@ from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
-from p2wss.fit.points import ground_points, roof_points, shaft_points, wall_hits
+from p2wss.fit.points import ground_points, shaft_points, wall_hits
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, fit_roof, roof_loss
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
@@ -115,7 +115,7 @@ def prepare(task: _Task) -> _Prepared | str:
         return reasons.NO_POINTS
     if len(building.point_m) < config.min_num_points:
         return reasons.TOO_FEW_POINTS
-    roof_m = roof_points(building.polygon, building.point_m, building.classification)
+    roof_m = building.point_m[building.is_on_building]
     # a return from a wall says nothing of the roof above it
     roof_m = roof_m[~wall_hits(roof_m)]
     points = (roof_m, building.point_m, building.classification)

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES
-from p2wss.data.points import MIN_CLASSIFIED_POINTS, points_on_building
+from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.nearest import nearest
 
@@ -32,11 +32,6 @@ def _spread(value: np.ndarray) -> np.ndarray:
 
 
 _SPREAD = _spread(np.arange(1 << 16))
-
-
-def roof_points(polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
-    """The points (k, 3) on the building over the polygon, which show its roof."""
-    return point_m[points_on_building(polygon, point_m, classification)]
 
 
 def wall_hits(point_m: np.ndarray) -> np.ndarray:

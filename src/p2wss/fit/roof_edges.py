@@ -10,6 +10,7 @@ import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.fit.points import median
+from p2wss.skeleton.compiled import entry
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Rules:
 
 RULES = Rules()
 _NEAR_M, _MIDDLE_M, _FAR_M = RULES.bands_m
+_AT_CORNER_M = RULES.at_corner_m
 # a network's footprint may have a vertex twice: the edge between has no direction, and stays
 _LEAST_M = 1e-9
 
@@ -141,7 +143,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
         depth_m = _beside(start, end, building_m)[1]
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
         num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
-        inner_length_m = np.hypot(*(end - start)) - 2 * RULES.at_corner_m
+        inner_length_m = np.hypot(*(end - start)) - 2 * _AT_CORNER_M
         gap_m = np.log(2) * (_FAR_M - _NEAR_M) * inner_length_m / max(num_behind, 1)
         reach_m = min(float(gap_m - median(begins_m)), RULES.beyond_m)
         outer_m = -reach_m - RULES.near_edge_m
@@ -171,17 +173,23 @@ def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:
     return median(begins_m)
 
 
+@entry
 def _beside(
     start: np.ndarray, end: np.ndarray, point_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the points (m, 2 or 3) beside an edge, but not beside its ends: the place along it from 0 to 1, how far they
     are behind it, and their rows."""
-    length = max(float(np.hypot(*(end - start))), _LEAST_M)
-    along = (end - start) / length
-    offset = point_m[:, :2] - start
-    place, depth = offset @ along, offset @ np.array([-along[1], along[0]])
-    row = np.flatnonzero((place > RULES.at_corner_m) & (place < length - RULES.at_corner_m))
-    return (place[row] - RULES.at_corner_m) / (length - 2 * RULES.at_corner_m), depth[row], row
+    length = max(np.hypot(end[0] - start[0], end[1] - start[1]), _LEAST_M)
+    x, y = (end[0] - start[0]) / length, (end[1] - start[1]) / length
+    share, depth, row = np.empty(len(point_m)), np.empty(len(point_m)), np.empty(len(point_m), np.int64)
+    num = 0
+    for k in range(len(point_m)):
+        to_x, to_y = point_m[k, 0] - start[0], point_m[k, 1] - start[1]
+        place_m = to_x * x + to_y * y - _AT_CORNER_M
+        if 0 < place_m < length - 2 * _AT_CORNER_M:
+            share[num], depth[num], row[num] = place_m / (length - 2 * _AT_CORNER_M), to_y * x - to_x * y, k
+            num += 1
+    return share[:num], depth[:num], row[:num]
 
 
 def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float) -> np.ndarray:
@@ -193,7 +201,7 @@ def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: 
     share, depth, row = _beside(start, end, point_m)
     near = (depth > least_m) & (depth < _FAR_M)
     share, depth, z = share[near], depth[near], point_m[row[near], 2]
-    num_bins = max(1, int((length - 2 * RULES.at_corner_m) / RULES.bin_m))
+    num_bins = max(1, int((length - 2 * _AT_CORNER_M) / RULES.bin_m))
     number = np.minimum((share * num_bins).astype(int), num_bins - 1)
     begins_m = []
     for k in range(num_bins):

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from p2wss.mesh.topology import border_rings
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -27,7 +29,12 @@ class Surface:
 
 
 def surfaces_of(
-    vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, label: np.ndarray, face: np.ndarray
+    vertex_m: np.ndarray,
+    triangle: np.ndarray,
+    kind: np.ndarray,
+    label: np.ndarray,
+    face: np.ndarray,
+    twin: np.ndarray,
 ) -> list[Surface]:
     """The faces of a closed mesh, in the order of their numbers ``face`` (t,); the others as in
     :class:`p2wss.mesh.Mesh`.
@@ -36,48 +43,14 @@ def surfaces_of(
     kept where a neighbour has a corner. A hole that touches the exterior or another hole in a vertex is a ring of its
     own.
     """
-    face_of_side: dict[tuple[int, int], int] = {}
-    # of the triangle on the left of a side, the corner that is not on the side
-    apex: dict[tuple[int, int], int] = {}
-    for number, (a, b, c) in zip(face.tolist(), np.asarray(triangle).tolist(), strict=True):
-        for start, end, opposite in ((a, b, c), (b, c, a), (c, a, b)):
-            face_of_side[start, end], apex[start, end] = number, opposite
-    boundary: list[dict[tuple[int, int], None]] = [{} for _ in range(int(face.max(initial=-1)) + 1)]
-    for (start, end), number in face_of_side.items():
-        if face_of_side.get((end, start)) != number:
-            boundary[number][start, end] = None
     _, first = np.unique(face, return_index=True)
+    rings: list[list[np.ndarray]] = [[] for _ in first]
+    for number, ring in border_rings(triangle, face, twin):
+        rings[number] += simple_rings(ring)
     return [
-        Surface(
-            int(kind[t]),
-            int(label[t]),
-            _exterior_first(np.asarray(vertex_m, float), _rings(sides, apex)),
-            number,
-        )
-        for number, (t, sides) in enumerate(zip(first, boundary, strict=True))
+        Surface(int(kind[t]), int(label[t]), _exterior_first(vertex_m, rings[number]), number)
+        for number, t in enumerate(first)
     ]
-
-
-def _rings(boundary: dict[tuple[int, int], None], apex: dict[tuple[int, int], int]) -> list[np.ndarray]:
-    """The boundary sides of one face, joined to rings of vertices.
-
-    From a side the next one is found by turning around their common vertex within the face. Where the exterior and a
-    hole touch in a vertex, that leads from the one to the other; such a ring is divided there.
-    """
-    pending = dict(boundary)
-    rings = []
-    while pending:
-        ring = []
-        start, end = next(iter(pending))
-        while (start, end) in pending:
-            del pending[start, end]
-            ring.append(start)
-            following = apex[start, end]
-            while (end, following) not in boundary:
-                following = apex[following, end]
-            start, end = end, following
-        rings += simple_rings(ring)
-    return rings
 
 
 def simple_rings(ring: list[int]) -> list[np.ndarray]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import NamedTuple
 
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.types import FaceKind, writable
 
 # what moves by less than this stays, to the bit
 _EXACT_M = 1e-6
@@ -25,19 +25,6 @@ _NUM_ROUNDS = 4
 _TOGETHER = 200
 # a triangle is turned over if twice its area along its former normal is less than minus this
 _NO_AREA_M2 = 1e-6
-
-
-class _Equations(NamedTuple):
-    """Of p planes: row (p, 3), base (p, 3) and scale (p, 3, 3).
-
-    Those points are on a plane whose distance from its base point has no product with the row. For roofs, the row is
-    the slopes and -1, for others the normal. A change of a plane, times the scale, is one of the slopes and the offset;
-    so scaled, it is as long as that of its vertices' heights.
-    """
-
-    row: np.ndarray
-    base: np.ndarray
-    scale: np.ndarray
 
 
 def with_meeting_planes(
@@ -56,73 +43,35 @@ def with_meeting_planes(
     """
     planes = mesh.planes
     num = len(planes.kind)
-    corner = np.column_stack(np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num))
-    equations = _equations(mesh, corner, free)
+    vertex, plane = np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num)
+    row, scale = _equations(mesh, vertex, plane, free)
     _, place = np.unique(place, return_inverse=True)
-    pairs = np.concatenate([corner, np.array(list(more), int).reshape(-1, 2)])
-    at, plane = np.divmod(np.unique(place[pairs[:, 0]] * num + pairs[:, 1]), num)
+    further = np.array(list(more), int).reshape(-1, 2)
+    pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
+    at, plane = np.divmod(np.unique(pairs), num)
     # any vertex of a place tells where its planes are, as they are linear
     first = np.unique(place, return_index=True)[1]
-    vertex_m = mesh.vertex_m[first]
-    count = np.bincount(at)
-    slot = np.arange(len(at)) - (np.cumsum(count) - count)[at]
-    size = len(first), count.max()
-    is_there = np.zeros(size, bool)
-    is_there[at, slot] = True
-    of_slot = np.zeros(size, int)
-    of_slot[at, slot] = plane
-    moves = np.asarray(equations.scale.any(axis=(1, 2)))
-    change = np.zeros((num, 3))
-    normal, off_m, _ = _at_places(equations, change, vertex_m, of_slot, is_there)
-    is_off = np.abs(off_m).max(axis=1) >= _EXACT_M
+    point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
+    apart_m = _apart_m(row, point_m, at, plane)
+    is_off = apart_m >= _EXACT_M
     if is_off.any():
         # places where planes depend on each other, as more meet than a point needs
-        rank = np.einsum("nij,nji->n", normal, np.linalg.pinv(normal, _RANK))
-        is_linked = is_there & moves[of_slot] & (is_off | (count - rank > 0.5))[:, None]
-        at, slot = np.nonzero(is_linked)
-        part = groups(num + len(first), np.column_stack([of_slot[at, slot], num + at]))
+        moves, num_spare = np.asarray(scale.any(axis=(1, 2))), np.bincount(at) - _inverses(row[plane], at)[1]
+        is_linked = moves[plane] & (is_off | (num_spare > 0))[at]
+        part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
         parts, size_of = np.unique(part, return_counts=True)
         is_wrong = np.isin(parts, part[num:][is_off])
         together = np.where(is_wrong, np.cumsum(size_of * is_wrong) // _TOGETHER, -1)[part]
         for number in np.unique(together[together >= 0]):
-            is_own = moves & (together[:num] == number)
-            is_here = (is_own[of_slot] & is_there).any(axis=1) | (together[num:] == number)
-            places = vertex_m[is_here], of_slot[is_here], is_there[is_here]
-            vertex_m[is_here] = _met(equations, change, is_own, *places)
-    apart_m = np.abs(_at_places(equations, change, vertex_m, of_slot, is_there)[1]).max(axis=1)
-    moved_m = vertex_m[place]
+            is_own, is_here = moves & (together[:num] == number), together[num:] == number
+            is_here[at[is_own[plane]]] = True
+            here, own_at = np.unique(at[is_here[at]], return_inverse=True)
+            point_m[here] = _met(row, scale, is_own, point_m[here], own_at, plane[is_here[at]])
+        apart_m = _apart_m(row, point_m, at, plane)
+    moved_m = point_m[place, :3]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
     return moved, apart_m[place]
-
-
-def _met(
-    equations: _Equations,
-    change: np.ndarray,
-    moves: np.ndarray,
-    vertex_m: np.ndarray,
-    of_slot: np.ndarray,
-    is_there: np.ndarray,
-) -> np.ndarray:
-    """Where the planes at places meet, (n, 3), after the least changes of those that move, which are put in place."""
-    # planes that stay have no lever here, so the number of their unknowns does not matter; 0 is that of none
-    num, unknown = moves.sum() + 1, np.cumsum(moves)[of_slot]
-    for _ in range(_NUM_ROUNDS):
-        normal, off_m, lever = _at_places(equations, change, vertex_m, of_slot, is_there)
-        if np.abs(off_m).max() < _EXACT_M:
-            break
-        # what is left of the distances of planes from a point wherever it is
-        apart = np.eye(normal.shape[1]) - normal @ np.linalg.pinv(normal, _RANK)
-        lever = lever * moves[of_slot][..., None]
-        square, right = np.zeros((num, num, 3, 3)), np.zeros((num, 3))
-        blocks = apart[..., None, None] * lever[:, :, None, :, None] * lever[:, None, :, None, :]
-        np.add.at(square, (unknown[:, :, None], unknown[:, None]), blocks)
-        np.add.at(right, unknown, (apart @ off_m[..., None]) * lever)
-        matrix = square.transpose(0, 2, 1, 3).reshape(3 * num, 3 * num) + _NO_CHANGE * np.eye(3 * num)
-        change[moves] -= np.linalg.solve(matrix, right.ravel()).reshape(num, 3)[1:]
-        normal, off_m, _ = _at_places(equations, change, vertex_m, of_slot, is_there)
-        vertex_m = vertex_m - (np.linalg.pinv(normal, _RANK) @ off_m[..., None])[..., 0]
-    return vertex_m
 
 
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
@@ -131,51 +80,131 @@ def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
-def _equations(mesh: Mesh, corner: np.ndarray, free: Collection[int]) -> _Equations:
-    """The equations of the planes of a mesh. corner: (n, 2), vertices and their planes. free: planes that may shift
-    though they are walls on floors."""
-    planes = mesh.planes
-    vertex, plane = corner.T
-    size = np.bincount(plane)
-    base = np.column_stack([np.bincount(plane, mesh.vertex_m[vertex, k]) / size for k in range(3)])
-    from_base = mesh.vertex_m[vertex] - base[plane]
-    lever = np.column_stack([from_base[:, :2], np.ones(len(vertex))])
-    square, to_height = np.zeros((len(size), 3, 3)), np.zeros((len(size), 3, 1))
-    np.add.at(square, plane, lever[:, :, None] * lever[:, None])
-    np.add.at(to_height, plane, (lever * from_base[:, 2:])[..., None])
-    row = planes.normal.copy()
-    is_roof = (planes.kind != FaceKind.WALL) & (planes.kind != FaceKind.GROUND)
-    fitted = (np.linalg.pinv(square[is_roof], _THIN, hermitian=True) @ to_height[is_roof])[..., 0]
-    row[is_roof] = np.column_stack([fitted[:, :2], np.full(len(fitted), -1)])
-    stiff = np.ones((len(size), 3))
-    stiff[planes.kind == FaceKind.FLAT, :2] = _STIFF
-    length, axes = np.linalg.eigh(square * stiff[:, None] * stiff[..., None])
-    scale = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
+def _equations(
+    mesh: Mesh, vertex: np.ndarray, plane: np.ndarray, free: Collection[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rows (p, 4), scales (p, 4, 3)) of the planes of a mesh.
+
+    How far a point is from a plane is the product of its coordinates and a 1 with the row. For roofs, that has the
+    slopes and -1, for others the normal. A change of a plane, times the scale, is one of the row; so scaled, it is as
+    long as that of its vertices' heights. vertex, plane: each pair of them. free: planes that may shift though they are
+    walls on floors.
+    """
+    kind, normal = mesh.planes.kind, mesh.planes.normal
+    is_floor, is_wall = kind == FaceKind.GROUND, kind == FaceKind.WALL
+    is_roof, stiff = ~is_floor & ~is_wall, np.where(kind == FaceKind.FLAT, _STIFF, 1.0)
+    vertex_m = writable(mesh.vertex_m, np.float64)
+    base, square, to_height, stays = _moments(vertex_m, vertex, plane, is_floor, stiff)
+    length, axes = np.linalg.eigh(square)
+    # the least squares of all planes
+    weight = np.where(length > _THIN * length[:, 2:], 1 / np.maximum(length, 1e-300), 0.0)
+    fitted = axes @ (weight[..., None] * (axes.transpose(0, 2, 1) @ to_height[..., None]))
+    row, scale = np.zeros((len(kind), 4)), np.zeros((len(kind), 4, 3))
+    slopes = np.column_stack([stiff[:, None] * fitted[:, :2, 0], np.full(len(kind), -1)])
+    row[:, :3] = np.where(is_roof[:, None], slopes, normal)
+    row[:, 3] = -(row[:, :3] * base).sum(axis=1)
+    scale[:, [0, 1, 3]] = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
     # walls shift only, unless they stand on a floor
-    on_floor = np.unique(vertex[planes.kind[plane] == FaceKind.GROUND])
-    stays = np.zeros(len(size), bool)
-    stays[plane[np.isin(vertex, on_floor)]] = True
     stays[list(free)] = False
-    stays[planes.kind == FaceKind.GROUND] = True
     scale[~is_roof] = 0
-    scale[~is_roof, 2, 2] = np.where(stays, 0, 1 / np.sqrt(size))[~is_roof]
-    return _Equations(row, base, scale)
+    scale[~is_roof, 3, 2] = np.where(stays | is_floor, 0, 1 / np.sqrt(np.bincount(plane)))[~is_roof]
+    scale[:, 3] -= (base[:, :2, None] * scale[:, :2]).sum(axis=1)
+    return row, scale
 
 
-def _at_places(
-    equations: _Equations,
-    change: np.ndarray,
-    vertex_m: np.ndarray,
-    of_slot: np.ndarray,
-    is_there: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(rows (n, k, 3) of the planes at places, how far each plane is from its place, and how much further by a change
-    of the plane (n, k, 3))."""
-    row, base, scale = equations
-    tilt = (scale @ change[..., None])[..., 0]
-    from_base = vertex_m[:, None] - base[of_slot]
-    lever = np.concatenate([from_base[..., :2], np.ones((*of_slot.shape, 1))], axis=2)
-    normal = row + np.column_stack([tilt[:, :2], np.zeros(len(tilt))])
-    off_m = (normal[of_slot] * from_base).sum(axis=2) + tilt[of_slot, 2]
-    mask = is_there[..., None]
-    return normal[of_slot] * mask, off_m * is_there, (lever[:, :, None] @ scale[of_slot])[:, :, 0] * mask
+@entry
+def _moments(
+    vertex_m: np.ndarray, vertex: np.ndarray, plane: np.ndarray, is_floor: np.ndarray, stiff: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(mean (p, 3) of the vertices of each plane, sums of squares (p, 3, 3) of their places and a 1, sums of the
+    products of these with heights (p, 3), whether one of them is on a floor). stiff: how much more the heights that
+    slopes make count."""
+    num, on_floor = len(stiff), np.zeros(len(vertex_m), np.bool_)
+    size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
+    for k, p in enumerate(plane):
+        size[p] += 1
+        base[p] += vertex_m[vertex[k]]
+        on_floor[vertex[k]] |= is_floor[p]
+    base /= size.reshape(-1, 1)
+    square, to_height, lever = np.zeros((num, 3, 3)), np.zeros((num, 3)), np.ones(3)
+    for k, p in enumerate(plane):
+        stands[p] |= on_floor[vertex[k]]
+        lever[:2] = stiff[p] * (vertex_m[vertex[k], :2] - base[p, :2])
+        for a in range(3):
+            to_height[p, a] += lever[a] * (vertex_m[vertex[k], 2] - base[p, 2])
+            square[p, a] += lever[a] * lever
+    return base, square, to_height, stands
+
+
+def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """How far the furthest of the planes at each point is from it. point_m: (n, 4), with a 1. at, plane: pairs."""
+    off_m = np.abs((row[plane] * point_m[at]).sum(axis=1))
+    return np.asarray(np.maximum.reduceat(off_m, np.flatnonzero(np.diff(at, prepend=-1))))
+
+
+def _met(
+    row: np.ndarray,
+    scale: np.ndarray,
+    moves: np.ndarray,
+    point_m: np.ndarray,
+    at: np.ndarray,
+    plane: np.ndarray,
+) -> np.ndarray:
+    """Where the planes at points (n, 4) meet after the least changes of those rows that move, which are changed in
+    place. at, plane: pairs of points and planes, ascending."""
+    num, unknown = int(moves.sum()), np.where(moves, np.cumsum(moves) - 1, -1)[plane]
+    begin = np.searchsorted(at, np.arange(len(point_m) + 1))
+    inverse, _ = _inverses(row[plane], at)
+    for _ in range(_NUM_ROUNDS):
+        off_m = (row[plane] * point_m[at]).sum(axis=1)
+        if np.abs(off_m).max() < _EXACT_M:
+            break
+        lever = (point_m[at, None] @ scale[plane])[:, 0]
+        matrix, right = _sums(row[plane], off_m, lever, inverse, begin, unknown, num)
+        matrix.flat[:: 3 * num + 1] += _NO_CHANGE
+        change = np.linalg.solve(matrix, right).reshape(num, 3, 1)
+        row[moves] -= (scale[moves] @ change)[..., 0]
+        inverse, _ = _inverses(row[plane], at)
+        off_m = (row[plane] * point_m[at]).sum(axis=1)
+        way_m = np.add.reduceat(row[plane, :3] * off_m[:, None], begin[:-1])
+        point_m[:, :3] -= (inverse @ way_m[..., None])[..., 0]
+    return point_m
+
+
+def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(what the products of rows and distances, summed, are multiplied by for the way to where planes meet, (n, 3, 3);
+    the number of directions that they determine, (n,)). row: (k, 4), at ascending places ``at``."""
+    square = np.add.reduceat(row[:, :3, None] * row[:, None, :3], np.flatnonzero(np.diff(at, prepend=-1)))
+    length, axes = np.linalg.eigh(square)
+    is_long = length > _RANK**2 * length[:, 2:]
+    return axes * (is_long / np.where(is_long, length, 1))[:, None] @ axes.transpose(0, 2, 1), is_long.sum(
+        axis=1
+    )
+
+
+@entry
+def _sums(
+    row: np.ndarray,
+    off_m: np.ndarray,
+    lever: np.ndarray,
+    inverse: np.ndarray,
+    begin: np.ndarray,
+    unknown: np.ndarray,
+    num: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The normal equations of changes of ``num`` planes. row, off_m, lever: of each plane at each place, how far it is
+    from it, and how much further by its changes. unknown: the number of the plane, -1 if it stays."""
+    matrix, right = np.zeros((3 * num, 3 * num)), np.zeros(3 * num)
+    for place in range(len(inverse)):
+        for i in range(begin[place], begin[place + 1]):
+            for j in range(begin[place], begin[place + 1] if unknown[i] >= 0 else 0):
+                # what is left of the distances of planes from a point wherever it is
+                apart = 1.0 if i == j else 0.0
+                for a in range(3):
+                    for b in range(3):
+                        apart -= row[i, a] * inverse[place, a, b] * row[j, b]
+                for a in range(3):
+                    right[3 * unknown[i] + a] += apart * off_m[j] * lever[i, a]
+                    for b in range(3 if unknown[j] >= 0 else 0):
+                        matrix[3 * unknown[i] + a, 3 * unknown[j] + b] += apart * lever[i, a] * lever[j, b]
+    return matrix, right

@@ -47,7 +47,7 @@ class Mesh:
     @classmethod
     def of_triangles(cls, vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
         """A closed mesh whose planes are found from its triangles (:func:`p2wss.mesh.planes.face_planes`)."""
-        return cls(vertex_m, triangle, *face_planes(vertex_m, triangle, topology.twins(triangle) // 3))
+        return cls(vertex_m, triangle, *face_planes(vertex_m, triangle))
 
     @classmethod
     def empty(cls) -> Mesh:
@@ -68,7 +68,9 @@ class Mesh:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        # surfaces are stored once more with a reconstruction, and what follows from them is slow to find
+        kept = (*(field.name for field in fields(self)), "surfaces")
+        return {name: value for name, value in vars(self).items() if name in kept}
 
     def moved(self, vertex_m: np.ndarray) -> Mesh:
         """The same triangles with other places of the vertices, (v, 3), which turn no face over."""
@@ -132,7 +134,7 @@ class Mesh:
     @cached_property
     def surfaces(self) -> list[Surface]:
         """The faces as polygons, in the order of their numbers."""
-        return surfaces_of(self.vertex_m, self.triangle, self.kind, self.label, self.face)
+        return surfaces_of(self.vertex_m, self.triangle, self.kind, self.label, self.face, self.twin)
 
     @cached_property
     def planes(self) -> Planes:
@@ -161,14 +163,13 @@ class Mesh:
 class Planes:
     """The planes of a mesh, numbered from 0 in the order of their labels.
 
-    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. offset_m:
-    (p,), distances from the origin along the normals. area_m2: (p,). triangle, num_vertices: of the mesh.
+    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. area_m2:
+    (p,). triangle, num_vertices: of the mesh.
     """
 
     number: np.ndarray
     kind: np.ndarray
     normal: np.ndarray
-    offset_m: np.ndarray
     area_m2: np.ndarray
     triangle: np.ndarray
     num_vertices: int
@@ -180,10 +181,9 @@ class Planes:
         normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
         twice_m2 = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
-        kind, offset_m = np.zeros(len(normal), np.uint8), np.zeros(len(normal))
+        kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
-        offset_m[number] = (normal[number] * mesh.corner_m[:, 0]).sum(axis=1)
-        return cls(number, kind, normal, offset_m, twice_m2 / 2, mesh.triangle, len(mesh.vertex_m))
+        return cls(number, kind, normal, twice_m2 / 2, mesh.triangle, len(mesh.vertex_m))
 
     @cached_property
     def at(self) -> list[set[int]]:
@@ -193,17 +193,6 @@ class Planes:
             for vertex in corners:
                 result[vertex].add(plane)
         return result
-
-    def table(self, vertices: Sequence[int]) -> np.ndarray:
-        """int64 (n, k): the planes of each of some vertices in ascending order, -1 beyond the last."""
-        rows = [sorted(self.at[vertex]) for vertex in vertices]
-        num = max(map(len, rows), default=0)
-        return np.array([row + [-1] * (num - len(row)) for row in rows], np.int64).reshape(len(rows), num)
-
-    @property
-    def is_roof(self) -> np.ndarray:
-        """bool (p,): planes that face upwards."""
-        return self.normal[:, 2] > _UPRIGHT_NZ
 
     @property
     def is_wall(self) -> np.ndarray:

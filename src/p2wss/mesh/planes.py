@@ -1,11 +1,11 @@
-"""Which triangles of a closed mesh lie in one plane, compiled."""
+"""Which triangles of a closed mesh lie in one plane."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from p2wss.mesh.topology import NEXT, doubled_areas, twins
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.ordering import stable_order
 from p2wss.skeleton.types import FaceKind
 
 # vertices within this distance of a roof, and of a wall, lie in it: heights nearer than the first are one, but walls
@@ -17,29 +17,33 @@ _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
 
 
+def face_planes(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(kind uint8, plane int32) of every triangle (t, 3) of a closed mesh. Planes grow from the largest triangles,
+    whose normals are the most accurate."""
+    corner_m = vertex_m[triangle]
+    normal, side_m = doubled_areas(corner_m), np.linalg.norm(corner_m - corner_m[:, NEXT], axis=2)
+    area = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(area, 1e-12)[:, None]
+    is_sliver = area < 2 * _COPLANAR_M * side_m.max(axis=1)
+    order = np.argsort(-area, kind="stable")
+    return _grown(vertex_m, triangle, twins(triangle) // 3, normal, is_sliver, order)
+
+
 @entry
-def face_planes(
-    vertex_m: np.ndarray, triangle: np.ndarray, beside: np.ndarray
+def _grown(
+    vertex_m: np.ndarray,
+    triangle: np.ndarray,
+    beside: np.ndarray,
+    normal: np.ndarray,
+    is_sliver: np.ndarray,
+    order: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(kind uint8, plane int32) of every triangle. Planes grow from the largest triangles, whose normals are the most
-    accurate. beside: int (t, 3), the triangle across each side, -1 for none."""
+    """The same. beside: int (t, 3), the triangle across each side, -1 for none. order: of the triangles."""
     num = len(triangle)
-    normal, area, is_sliver = np.empty((num, 3)), np.empty(num), np.empty(num, np.bool_)
-    for t in range(num):
-        a, b, c = vertex_m[triangle[t, 0]], vertex_m[triangle[t, 1]], vertex_m[triangle[t, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area[t] = np.sqrt(nx * nx + ny * ny + nz * nz)
-        length = max(area[t], 1e-12)
-        normal[t, 0], normal[t, 1], normal[t, 2] = nx / length, ny / length, nz / length
-        wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
-        longest2 = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
-        is_sliver[t] = area[t] < 2 * _COPLANAR_M * np.sqrt(longest2)
     kind, plane = np.zeros(num, np.uint8), np.full(num, -1, np.int32)
     pending = np.empty(num, np.int64)
     number = -1
-    for seed in stable_order(-area):
+    for seed in order:
         number += 1
         if plane[seed] >= 0:
             continue

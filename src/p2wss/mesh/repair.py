@@ -10,6 +10,7 @@ import numpy as np
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.mesh.rules import WRITING, Breach, breaches
+from p2wss.mesh.topology import unique_rows
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
 SCALE_M = 1e-4
@@ -21,8 +22,7 @@ def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarra
     Vertices that are at one place in the file are one, so a ring may become shorter; it is dropped below three.
     """
     grid = np.round(np.asarray(vertex_m, float).reshape(-1, 3) / SCALE_M).astype(np.int64)
-    place, index = np.unique(grid, axis=0, return_inverse=True)
-    index = index.reshape(-1)
+    place, index = unique_rows(grid)
     result = []
     for surface in surfaces:
         rings = [_without_repeats(index[np.asarray(ring)]) for ring in surface.rings]
@@ -37,12 +37,16 @@ def _without_repeats(ring: np.ndarray) -> np.ndarray:
     return ring[ring != ring[np.arange(-1, len(ring) - 1)]]
 
 
-def surfaces_to_write(mesh: Mesh) -> tuple[list[Surface], list[Breach]]:
+def surfaces_to_write(
+    mesh: Mesh, origin_m: np.ndarray | Sequence[float] = (0.0, 0.0, 0.0)
+) -> tuple[list[Surface], list[Breach]]:
     """(the planar polygons of a mesh, the rules that they still break once they are stored).
 
-    mesh: in the CRS. A face that is not planar, or whose rings break a rule, is divided into its triangles.
+    origin_m: (3,), of the mesh in the CRS. A face that is not planar, or whose rings break a rule, is divided into its
+    triangles.
     """
-    pairs = _stored_breaches(mesh.vertex_m, mesh.surfaces)
+    vertex_m = mesh.vertex_m + np.asarray(origin_m)
+    pairs = _stored_breaches(vertex_m, mesh.surfaces)
     broken = {surface for breach, surface in pairs if surface >= 0 and breach.code > 102}
     if not broken:
         return mesh.surfaces, [breach for breach, _ in pairs]
@@ -53,7 +57,7 @@ def surfaces_to_write(mesh: Mesh) -> tuple[list[Surface], list[Breach]]:
             divided += [replace(surface, rings=[corner]) for corner in corners]
         else:
             divided.append(surface)
-    return divided, [breach for breach, _ in _stored_breaches(mesh.vertex_m, divided)]
+    return divided, [breach for breach, _ in _stored_breaches(vertex_m, divided)]
 
 
 def _stored_breaches(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> list[tuple[Breach, int]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
@@ -50,18 +51,45 @@ def doubled_plan_areas(corner_m: np.ndarray) -> np.ndarray:
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-def border_rings(triangle: np.ndarray) -> list[list[int]]:
-    """The rings of vertices along the sides that have no triangle on the other side, each in the direction of its
-    triangles (t, 3) and from its smallest vertex; no two rings may touch."""
-    is_border = twins(triangle) < 0
-    following = dict(zip(triangle[is_border].tolist(), triangle[:, NEXT][is_border].tolist(), strict=True))
-    result = []
-    while following:
-        ring = [min(following)]
-        while (vertex := following.pop(ring[-1])) != ring[0]:
-            ring.append(vertex)
-        result.append(ring)
-    return result
+def border_rings(triangle: np.ndarray, face: np.ndarray, twin: np.ndarray) -> list[tuple[int, list[int]]]:
+    """(face, vertices) of the rings along the sides that have no triangle of the same face on the other side, in the
+    order of their first sides, each in the direction of its triangles (t, 3). face: (t,). twin: see :func:`twins`.
+
+    From a side the next one is found by turning around their common vertex within the face. So where two borders of a
+    face touch in a vertex, one may lead to the other.
+    """
+    other = twin.ravel()
+    is_border = (other < 0) | (face[other // 3] != np.repeat(face, 3))
+    half, is_first = _border_sides(is_border, other)
+    vertex, number = triangle.ravel()[half].tolist(), face[half // 3].tolist()
+    first = np.flatnonzero(is_first).tolist()
+    return [
+        (number[start], vertex[start:end]) for start, end in zip(first, [*first[1:], len(half)], strict=True)
+    ]
+
+
+@entry
+def _border_sides(is_border: np.ndarray, twin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(half-edges (n,) of the borders of faces, ring after ring; whether each begins a ring)."""
+    result, is_first, is_pending = (
+        np.empty(len(twin), np.int64),
+        np.zeros(len(twin), np.bool_),
+        is_border.copy(),
+    )
+    num = 0
+    for first in range(len(twin)):
+        half = first
+        while is_pending[half]:
+            result[num], is_first[num], is_pending[half] = half, half == first, False
+            num += 1
+            half += 1 if half % 3 < 2 else -2
+            # at most once around, as a surface that is no manifold may lead in circles
+            for _ in range(len(twin)):
+                if is_border[half]:
+                    break
+                half = twin[half]
+                half += 1 if half % 3 < 2 else -2
+    return result[:num], is_first[:num]
 
 
 def face_numbers(triangle: np.ndarray, label: np.ndarray) -> np.ndarray:
@@ -84,7 +112,7 @@ def face_numbers(triangle: np.ndarray, label: np.ndarray) -> np.ndarray:
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
     distinguish."""
-    corner = _weld(vertex_m)[triangle]
+    corner = unique_rows(np.rint(vertex_m / _WELD_M))[1][triangle]
     corner = corner[(corner != corner[:, NEXT]).all(axis=1)]
     size = len(vertex_m)
     start, end = corner.ravel(), corner[:, NEXT].ravel()
@@ -92,11 +120,12 @@ def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     return bool(len(forward) and (forward[1:] > forward[:-1]).all() and (forward == back).all())
 
 
-def _weld(vertex_m: np.ndarray) -> np.ndarray:
-    """A number per vertex, the same for vertices at the same place to a tenth of a millimetre."""
-    place = np.rint(vertex_m / _WELD_M)
-    order = np.lexsort(place.T)
-    ordered = place[order]
-    number = np.zeros(len(order), np.int64)
-    number[order[1:]] = np.cumsum((ordered[1:] != ordered[:-1]).any(axis=1))
-    return number
+def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(the different ones of some rows (n, k), ascending; the number of each among them, int64 (n,))."""
+    # numpy's own function takes several times as long for a few rows
+    order = np.lexsort(rows.T[::-1])
+    ordered, is_new = rows[order], np.ones(len(rows), bool)
+    is_new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    number = np.empty(len(rows), np.int64)
+    number[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], number

@@ -19,17 +19,15 @@ def triangulated(
     place_m: (k, 2), the corners of all rings, each in the plane of its face. vertex: (k,), of each corner. ring: (k,),
     its ring, ascending. face_of_ring: the face of each ring, ascending, exteriors before holes.
     """
-    rings = np.asarray(shapely.linearrings(place_m, indices=ring), object)
+    # heights, which stay with their corners, are the numbers of the vertices
+    rings = np.asarray(shapely.linearrings(np.column_stack([place_m, vertex]), indices=ring), object)
     polygons = np.asarray(shapely.polygons(rings, indices=face_of_ring), object)
     polygons[~shapely.is_valid(polygons)] = None
     parts, face = shapely.get_parts(shapely.constrained_delaunay_triangles(polygons), return_index=True)
-    corner_m = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
-    turns_back = doubled_plan_areas(corner_m) < 0
-    corner_m[turns_back] = corner_m[turns_back, ::-1]
-    of_corner = zip(face_of_ring[ring].tolist(), map(tuple, place_m.tolist()), strict=True)
-    vertex_at = dict(zip(of_corner, vertex.tolist(), strict=True))
-    of_place = zip(np.repeat(face, 3).tolist(), map(tuple, corner_m.reshape(-1, 2).tolist()), strict=True)
-    return np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3), face
+    corner = shapely.get_coordinates(parts, include_z=True).reshape(-1, 4, 3)[:, :3]
+    turns_back = doubled_plan_areas(corner) < 0
+    corner[turns_back] = corner[turns_back, ::-1]
+    return corner[:, :, 2].astype(np.int64), face
 
 
 def triangulated_in_space(

@@ -135,8 +135,7 @@ def party_wall_areas_m2(meshes: Sequence[Mesh | None]) -> np.ndarray:
 
 def _walls(mesh: Mesh | None) -> tuple[np.ndarray, np.ndarray]:
     """(corners (t, 3, 3), unit normals in plan (t, 2)) of the triangles of walls."""
-    if mesh is None:
-        return np.zeros((0, 3, 3)), np.zeros((0, 2))
+    assert mesh is not None
     is_wall = mesh.kind == FaceKind.WALL
     corner, normal = mesh.corner_m[is_wall], mesh.doubled_m2[is_wall, :2]
     length = np.linalg.norm(normal, axis=1)

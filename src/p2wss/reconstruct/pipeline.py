@@ -36,7 +36,7 @@ from p2wss.storage.log_lines import log
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress: of each process, where forks would cost more for fewer, and with
 # a network, which is faster with many
-_BATCH, _NETWORK_BATCH = 24, 256
+_BATCH, _NETWORK_BATCH = 64, 256
 # points on the roofs around a building with few: enough to show planes
 _MAX_AROUND = 200
 # whose ground is that of a building without points

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from p2wss.storage.temporary import Closeable, Scratch
 
-# values that stay in memory, too: those of a small run
-_NUM_KEPT = 256
+# values that stay in memory, too, about 25 KiB each: the first that are read, as those of a large run are read in their
+# order again and again
+_NUM_KEPT = 4096
 T = TypeVar("T")
 S = TypeVar("S")
 
@@ -38,10 +38,10 @@ class Spool(Lazy[int, T], Closeable):
     """
 
     def __init__(self, count: int, folder: Path) -> None:
-        super().__init__(lambda index: self._value(*self._place[index]), range(count))
+        super().__init__(self._value, range(count))
         self._place: dict[int, tuple[int, int]] = {}
+        self._kept: dict[int, T] = {}
         self._scratch = Scratch(folder, "results")
-        self._value = lru_cache(_NUM_KEPT)(self._read)
 
     def close(self) -> None:
         """Remove the file."""
@@ -51,8 +51,13 @@ class Spool(Lazy[int, T], Closeable):
         content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
         self._place[index] = (self._scratch.num_bytes, len(content))
         self._scratch.append(content)
+        self._kept.pop(index, None)
 
-    def _read(self, start: int, num_bytes: int) -> T:
+    def _value(self, index: int) -> T:
+        if index in self._kept:
+            return self._kept[index]
         # what this process wrote, into a file that no other can open
-        value: T = pickle.loads(self._scratch.read(start, num_bytes))  # nosec B301
+        value: T = pickle.loads(self._scratch.read(*self._place[index]))  # nosec B301
+        if len(self._kept) < _NUM_KEPT:
+            self._kept[index] = value
         return value

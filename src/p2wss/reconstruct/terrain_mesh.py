@@ -13,7 +13,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.formats.meshes import TERRAIN, Body
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import border_rings, doubled_plan_areas
+from p2wss.mesh.topology import border_rings, doubled_plan_areas, twins
 from p2wss.skeleton.types import FaceKind
 
 NAME = "terrain"
@@ -121,7 +121,8 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
 
 def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Body:
     """The solid of a top surface, vertical sides and a level bottom; the border of ``upper`` must be a single ring."""
-    border = np.array(border_rings(upper)[0])
+    border = np.array(border_rings(upper, np.zeros(len(upper), int), twins(upper))[0][1])
+    border = np.roll(border, -border.argmin())
     count, around = len(top_m), len(border)
     below = np.column_stack([top_m[border, :2], np.full(around, bottom_z_m)])
     lower = count + np.arange(around)

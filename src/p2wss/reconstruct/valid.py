@@ -72,5 +72,5 @@ def simpler_fits(
 
 def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:
     """The reconstruction with a mesh if that follows the rules, or None."""
-    surfaces, broken = surfaces_to_write(mesh.translated(reconstruction.position_m))
+    surfaces, broken = surfaces_to_write(mesh, reconstruction.position_m)
     return None if broken else replace(reconstruction, mesh=mesh, surfaces=surfaces)

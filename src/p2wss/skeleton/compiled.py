@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 from llvmlite import binding
+from llvmlite.binding import ffi
 from numba import config, njit
-from numba.core import event
+from numba.core import entrypoints, event
 from numba.core.caching import (
     FunctionCache,
     InTreeCacheLocator,
@@ -34,6 +35,10 @@ from numba.np import linalg
 
 # before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
 linalg.ensure_blas = lambda: None
+# and it would read the entry points of all installed packages, for extensions of numba, which none of these has
+entrypoints._already_initialized = True
+# it also tells who listens of every call of LLVM, a hundred and more for each function that is loaded
+ffi.lib._lock._cblist.clear()
 
 # a literal number, or a variable that starts as one, makes numba compile the functions it is passed to once more, for
 # that constant

@@ -4,32 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import allocating, inner
-
-
-@allocating
-def stable_order(key: np.ndarray) -> np.ndarray:
-    """Indices, int64 (n,), that sort float64 values (n,) without NaN in ascending order; equal values keep
-    their order."""
-    n = len(key)
-    order, merged = np.empty(n, np.int64), np.empty(n, np.int64)
-    for i in range(n):
-        order[i] = i
-    width = 1
-    while width < n:
-        for first in range(0, n, 2 * width):
-            middle, last = min(first + width, n), min(first + 2 * width, n)
-            a, b = first, middle
-            for k in range(first, last):
-                if b >= last or (a < middle and not key[order[b]] < key[order[a]]):
-                    merged[k] = order[a]
-                    a += 1
-                else:
-                    merged[k] = order[b]
-                    b += 1
-        order, merged = merged, order
-        width *= 2
-    return order
+from p2wss.skeleton.compiled import inner
 
 
 @inner

@@ -10,7 +10,7 @@ import pytest
 
 from p2wss import skeleton
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import border_rings
+from p2wss.mesh.topology import border_rings, twins
 from p2wss.skeleton import FaceKind, Polygons
 from p2wss.skeleton.groups import groups
 
@@ -50,7 +50,7 @@ def test_every_half_edge_has_the_twin_that_runs_back() -> None:
     assert (open_mesh.twin < 0).sum() == 8 and not open_mesh.is_closed
 
 
-def test_faces_have_their_holes_and_planes_their_distances() -> None:
+def test_faces_have_their_holes_and_planes_their_areas() -> None:
     mesh = house()
     assert len(mesh.surfaces) == len(mesh.planes.normal) == 10
     assert sorted(len(surface.rings) for surface in mesh.surfaces) == [1] * 8 + [2, 2]
@@ -58,7 +58,7 @@ def test_faces_have_their_holes_and_planes_their_distances() -> None:
     assert mesh.planes.normal[floor].tolist() == [[0, 0, -1]] and mesh.planes.area_m2[floor] == pytest.approx(
         76
     )
-    assert mesh.planes.is_wall.sum() == 8 and mesh.planes.is_roof.sum() == 1
+    assert mesh.planes.is_wall.sum() == 8 and (mesh.planes.normal[:, 2] > 0.99).sum() == 1
     assert (mesh.num_planes_at == 3).all()
 
 
@@ -79,10 +79,11 @@ def test_moves_keep_faces_and_leave_the_first_mesh_alone() -> None:
     assert np.array_equal(mesh.vertex_m, before)
 
 
-def test_a_pickled_mesh_is_its_four_arrays() -> None:
+def test_a_pickled_mesh_is_its_four_arrays_and_its_faces() -> None:
     mesh = gable()
     plain = pickle.dumps(mesh)
-    assert mesh.surfaces and pickle.dumps(mesh) == plain
+    assert mesh.is_closed and mesh.edge_m.any() and pickle.dumps(mesh) == plain
+    assert mesh.surfaces and "surfaces" in vars(pickle.loads(pickle.dumps(mesh)))
     back = pickle.loads(plain)
     assert np.array_equal(back.vertex_m, mesh.vertex_m) and back.volume_m3 == mesh.volume_m3
 
@@ -100,7 +101,10 @@ def test_a_mesh_inside_out_has_a_negative_volume() -> None:
 
 def test_borders_run_as_their_triangles_do() -> None:
     square = np.array([[0, 1, 2], [0, 2, 3], [5, 4, 6]])
-    assert border_rings(square) == [[0, 1, 2, 3], [4, 6, 5]]
+    rings = border_rings(square, np.zeros(3, int), twins(square))
+    assert rings == [(0, [0, 1, 2, 3]), (0, [5, 4, 6])]
+    rings = border_rings(square, np.array([0, 1, 2]), twins(square))
+    assert rings == [(0, [0, 1, 2]), (1, [0, 2, 3]), (2, [5, 4, 6])]
 
 
 def test_groups_are_numbered_by_their_first_members() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from p2wss.reconstruct import spool
 from p2wss.reconstruct.spool import Lazy, Spool
 
 
@@ -18,8 +19,19 @@ def test_values_of_a_file_in_any_order(tmp_path: Path) -> None:
         assert os.listdir(tmp_path) == []
         assert list(values) == ["replaced by a longer value", "value 1", "value 2"]
         assert len(values) == 3 and list(values[1:]) == ["value 1", "value 2"] and values[-1] == "value 2"
+        values[1] = "replaced after it was read"
+        assert values[1] == "replaced after it was read"
     with Spool[int](1, tmp_path) as empty, pytest.raises(KeyError):
         _ = empty[0]
+
+
+def test_only_the_first_values_that_are_read_stay_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spool, "_NUM_KEPT", 1)
+    with Spool[list[int]](2, tmp_path) as values:
+        values[0], values[1] = [0], [1]
+        assert values[0] is values[0] and values[1] == [1] and values[1] is not values[1]
 
 
 def test_computed_at_each_access() -> None:

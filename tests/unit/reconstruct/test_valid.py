@@ -103,6 +103,6 @@ def test_the_product_falls_back_to_a_flat_roof_with_the_reason(monkeypatch: pyte
     assert (flat.method, flat.status) == ("lod1", reasons.INVALID_SOLID)
     assert flat.has_mesh and flat.eave_height_m == pytest.approx(6.0)
     # nothing is valid
-    monkeypatch.setattr(valid, "surfaces_to_write", lambda mesh: ([], [Breach(302)]))
+    monkeypatch.setattr(valid, "surfaces_to_write", lambda mesh, origin_m: ([], [Breach(302)]))
     (none,) = reconstruct_buildings([building()], None, Reconstruct())
     assert not none.has_mesh and none.status == reasons.INVALID_SOLID

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.mesh import Mesh
+from p2wss.mesh.topology import unique_rows
 from p2wss.skeleton.types import FaceKind
 
 # a vertex further from an edge of the footprint, or a wall turned further from it, is not on that edge
@@ -40,7 +41,7 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     result[at_corner, :2] = start[nearest[at_corner]]
 
     # a face is on an edge if it is turned that way and one of its vertices is there
-    face = np.unique(np.column_stack([kind, mesh.label]), axis=0, return_inverse=True)[1].reshape(-1)
+    face = unique_rows(np.column_stack([kind, mesh.label]))[1]
     normal, middle_m = _face_planes(mesh, face)
     is_wall = np.zeros(len(normal), bool)
     is_wall[face[kind == FaceKind.WALL]] = True
@@ -48,8 +49,8 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     np.logical_or.at(on_edge, np.repeat(face, 3), distance_m[triangle.ravel()] <= _NEAR_M)
     on_edge &= is_wall[:, None] & (normal[:, :2] @ outward.T >= np.sqrt(1 - _MAX_SINE**2))
 
-    is_outer = np.isin(face, np.flatnonzero(on_edge.any(axis=1)))
-    pairs = np.unique(np.column_stack([triangle[is_outer].ravel(), np.repeat(face[is_outer], 3)]), axis=0)
+    is_outer = np.asarray(on_edge.any(axis=1))[face]
+    pairs = unique_rows(np.column_stack([triangle[is_outer].ravel(), np.repeat(face[is_outer], 3)]))[0]
     reach = np.where(on_edge[pairs[:, 1]], distance_m[pairs[:, 0]], np.inf)
     edge, gap_m = reach.argmin(axis=1), reach.min(axis=1)
     is_off = (gap_m > _NEAR_M) & (gap_m <= reach_m)

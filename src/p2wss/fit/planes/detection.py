@@ -272,10 +272,14 @@ def _reassigned(
     point_m: np.ndarray, plane: np.ndarray, label: np.ndarray, neighbour: np.ndarray, distance_m: float
 ) -> np.ndarray:
     """The label (m,) of each point: the nearest of its plane and the planes of its neighbours."""
-    distance = np.column_stack([distances(plane, point_m), np.full(len(point_m), distance_m)])
-    candidate = np.column_stack([label, label[neighbour]])
+    # where all around are of its plane, so is the point
+    rows = np.flatnonzero((label[neighbour] != label[:, None]).any(axis=1))
+    distance = np.column_stack([distances(plane, point_m[rows]), np.full(len(rows), distance_m)])
+    candidate = np.column_stack([label[rows], label[neighbour[rows]]])
     best = np.take_along_axis(distance, candidate, axis=1).argmin(axis=1)
-    return np.asarray(candidate[np.arange(len(label)), best])
+    result = label.copy()
+    result[rows] = candidate[np.arange(len(rows)), best]
+    return result
 
 
 def _merged(

@@ -102,16 +102,35 @@ def costs_of(
     is_shared = (cells.pair >= 0).all(axis=1)
     pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
     end_z = np.stack([heights(plane, end_m[:, end]) for end in (0, 1)])
-    step_m = np.abs(end_z[:, :, :, None] - end_z[:, :, None, :])
+    length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
     fold = np.linalg.norm(plane[:, None, :2] - plane[None, :, :2], axis=2)
     meeting = np.where(fold < prices.shallow, prices.shallow_share, prices.meet_share)
-    stepping = np.where(step_m.mean(axis=0) < prices.small_step_m, prices.small_step_share, 1.0)
-    is_step = step_m.max(axis=0) >= prices.meet_m
-    share = np.where(is_step, stepping, meeting)
-    share[:, np.arange(num_planes), np.arange(num_planes)] = 0.0
-    length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
-    side_m3 = prices.edge_m2 * length_m[:, None, None] * share
+    side_m3, is_step = _at_sides(end_z, length_m, meeting, prices)
     return Costs(cell_m3, pair, side_m3, is_step, cells.line[is_shared], length_m, prices)
+
+
+@entry
+def _at_sides(
+    end_z: np.ndarray, length_m: np.ndarray, meeting: np.ndarray, prices: PlanePrices
+) -> tuple[np.ndarray, np.ndarray]:
+    """(what each pair of planes (k, 3) costs on the two hands of each side, (s, k, k); whether there is a step between
+    them, bool). end_z: (2, s, k), heights of the planes at the ends of the sides. meeting: (k, k), the share of the
+    price that planes have which meet."""
+    num = len(meeting)
+    side_m3, is_step = np.zeros((len(length_m), num, num)), np.zeros((len(length_m), num, num), np.bool_)
+    for side in range(len(length_m)):
+        for i in range(num):
+            for j in range(i):
+                first_m, last_m = (
+                    abs(end_z[0, side, i] - end_z[0, side, j]),
+                    abs(end_z[1, side, i] - end_z[1, side, j]),
+                )
+                share = meeting[i, j]
+                if max(first_m, last_m) >= prices.meet_m:
+                    is_step[side, i, j] = is_step[side, j, i] = True
+                    share = prices.small_step_share if first_m + last_m < 2 * prices.small_step_m else 1.0
+                side_m3[side, i, j] = side_m3[side, j, i] = prices.edge_m2 * length_m[side] * share
+    return side_m3, is_step
 
 
 def least_cost(costs: Costs) -> np.ndarray:

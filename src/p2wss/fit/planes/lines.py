@@ -121,13 +121,14 @@ def _borders(
 ) -> dict[tuple[int, int], list[np.ndarray]]:
     """By pairs of planes, the places (m, 2) of points of each that are beside a point of the other."""
     rows = np.flatnonzero(label >= 0)
+    # of points at one place the first
+    rows = rows[np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)[1]]
     if len(rows) < 4:
         return {}
-    # complex numbers are in the order of their first and then their second coordinate
-    place, first = np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)
-    edges = shapely.delaunay_triangles(shapely.linestrings(point_m[rows, :2]), only_edges=True)
-    end = shapely.get_coordinates(edges) @ [1, 1j]
-    link = rows[first[np.searchsorted(place, end)]].reshape(-1, 2)
+    # edges keep heights: the numbers of their points
+    sites = shapely.linestrings(np.column_stack([point_m[rows, :2], rows]))
+    edges = shapely.delaunay_triangles(sites, only_edges=True)
+    link = shapely.get_coordinates(edges, include_z=True)[:, 2].astype(int).reshape(-1, 2)
     link = link[label[link[:, 0]] != label[link[:, 1]]]
     apart = point_m[link[:, 0], :2] - point_m[link[:, 1], :2]
     link = link[np.hypot(apart[:, 0], apart[:, 1]) < near_m]

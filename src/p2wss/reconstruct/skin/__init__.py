@@ -19,6 +19,7 @@ from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
 from p2wss.reconstruct.skin.solids import (
     MAX_LOWERING_M,
     Face,
+    area_vectors,
     faces_of,
     on_common_floors,
     opposite_walls,
@@ -87,11 +88,12 @@ def _block(solids: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
     walls = np.unique(pairs).tolist()
     point = weld(point, faces, walls)
     point = node(point, faces, walls)
-    plane_of = groups(len(faces), pairs)
+    walls = [wall for wall in walls if faces[wall].rings]
+    plane_of, areas = groups(len(faces), pairs)[walls], area_vectors(point, [faces[wall] for wall in walls])
     remaining: list[Face] = []
-    for plane in dict.fromkeys(plane_of[walls].tolist()):
-        here = [wall for wall in walls if plane_of[wall] == plane and faces[wall].rings]
-        remaining += without_common(point, faces, here) if here else []
+    for plane in dict.fromkeys(plane_of.tolist()):
+        here = np.flatnonzero(plane_of == plane)
+        remaining += without_common(point, faces, [walls[k] for k in here.tolist()], areas[here])
     apart = set(walls)
     remaining += [face for number, face in enumerate(faces) if number not in apart and face.rings]
     return point, remaining

@@ -73,15 +73,18 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
     planes = mesh.planes
     point, faces = faces_of(solids)
     # floors and the walls on them stay
-    on_floor = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND]).tolist()
+    on_floor, on_moving = np.zeros((2, len(mesh.vertex_m)), bool)
+    on_floor[mesh.triangle[mesh.kind == FaceKind.GROUND]] = True
     moves = np.ones(len(planes.kind), bool)
-    moves[[plane for vertex in on_floor for plane in planes.at[vertex]]] = False
+    moves[planes.number[on_floor[mesh.triangle].any(axis=1)]] = False
+    on_moving[mesh.triangle[moves[planes.number]]] = True
+    is_free, may_move = on_moving.tolist(), moves.tolist()
     ends = np.column_stack([mesh.triangle.ravel(), mesh.triangle[:, NEXT].ravel()]).tolist()
     beyond = dict(zip(map(tuple, ends), np.repeat(planes.number, 3).tolist(), strict=True))
     found: dict[tuple[int, int, int], _Step] = {}
     for pair in opposite_walls(point, faces).tolist():
         rings = [faces[wall].rings for wall in pair]
-        corners = [[v for ring in each for v in ring if moves[list(planes.at[v])].any()] for each in rings]
+        corners = [[v for ring in each for v in ring if is_free[v]] for each in rings]
         if not all(corners):
             continue
         gap_m = np.linalg.norm(point[corners[0]][:, None] - point[corners[1]], axis=2)
@@ -89,7 +92,7 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
             edges = [
                 (b, a) for ring in rings[theirs] for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
             ]
-            edge = np.array([each for each in edges if moves[beyond[each]]], int).reshape(-1, 2)
+            edge = np.array([each for each in edges if may_move[beyond[each]]], int).reshape(-1, 2)
             nearest = gaps_m.argmin(axis=1)
             for k, vertex in enumerate(corners[mine]):
                 other, plane, least_m = corners[theirs][nearest[k]], -1, gaps_m[k, nearest[k]]

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from p2wss.reconstruct.skin.noding import ring_edges
-from p2wss.reconstruct.skin.solids import Face, area_vectors
+from p2wss.reconstruct.skin.solids import Face
 
 # areas of the pieces of a wall may add up to this much less or more than the wall
 _AREA_M2 = 1e-2
@@ -18,14 +18,15 @@ class NotJoined(Exception):
     """The walls of a block do not fit each other: its buildings overlap, or a wall is not upright."""
 
 
-def without_common(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> list[Face]:
+def without_common(
+    point: np.ndarray, faces: Sequence[Face], walls: Sequence[int], areas: np.ndarray
+) -> list[Face]:
     """What remains of ``walls``, faces of one upright plane without crossing edges, where it has no building on one of
-    its sides.
+    its sides. areas: of each (:func:`~p2wss.reconstruct.skin.solids.area_vectors`).
 
     The boundary of the result is the sum of the boundaries of ``walls``, so what was closed stays closed. Raises
     :class:`NotJoined` where two walls of one side overlap.
     """
-    areas = area_vectors(point, [faces[wall] for wall in walls])
     largest = areas[np.abs(areas).max(axis=1).argmax()]
     normal = largest[:2] / np.hypot(*largest[:2])
     # seen against the normal, s runs to the right and z upwards

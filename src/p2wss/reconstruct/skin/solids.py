@@ -41,10 +41,11 @@ def faces_of(meshes: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
     faces: list[Face] = []
     first = 0
     for number, mesh in enumerate(meshes):
-        for surface in mesh.surfaces:
-            rings = [(np.asarray(ring) + first).tolist() for ring in surface.rings]
-            triangle = np.asarray(mesh.triangle[mesh.face == surface.face], int) + first
-            faces.append(Face(number, surface.kind, surface.label, rings, triangle))
+        order = np.argsort(mesh.face, kind="stable")
+        triangle, last = mesh.triangle[order].astype(int) + first, np.cumsum(np.bincount(mesh.face)).tolist()
+        for surface, start, end in zip(mesh.surfaces, [0, *last], last, strict=False):
+            rings = [(ring + first).tolist() for ring in surface.rings]
+            faces.append(Face(number, surface.kind, surface.label, rings, triangle[start:end]))
         first += len(mesh.vertex_m)
     return np.concatenate([mesh.vertex_m for mesh in meshes]), faces
 
@@ -85,13 +86,13 @@ def on_common_floors(
 
 
 def area_vectors(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
-    """(f, 3), the vectors along the outward normals of at least one face, with the lengths of their areas (Newell)."""
+    """(f, 3), the vectors along the outward normals of faces, with the lengths of their areas (Newell)."""
     rings = [ring for face in faces for ring in face.rings]
-    num_corners = np.array([len(ring) for ring in rings])
+    num_corners = np.array([*map(len, rings)], int)
     first = np.cumsum(num_corners) - num_corners
     following = np.arange(1, num_corners.sum() + 1)
     following[first + num_corners - 1] = first
-    corner = point[np.concatenate(rings)]
+    corner = point[[vertex for ring in rings for vertex in ring]]
     corner -= np.repeat(corner[first], num_corners, axis=0)
     face = np.repeat(np.arange(len(faces)), [len(face.rings) for face in faces])
     doubled = np.zeros((len(faces), 3))
@@ -109,11 +110,14 @@ def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     is_upright = np.abs(normal[:, 2]) <= _UPRIGHT_NZ
     wall, normal = wall[is_upright], normal[is_upright, :2]
     normal /= np.hypot(*normal.T)[:, None]
-    segment = np.zeros((len(wall), 2, 2))
-    for k, (x, y) in enumerate(normal.tolist()):
-        plan = point[faces[wall[k]].rings[0], :2]
-        along = plan @ (-y, x)
-        segment[k] = plan[[along.argmin(), along.argmax()]]
+    exterior = [faces[number].rings[0] for number in wall]
+    owner, plan = np.repeat(np.arange(len(wall)), [*map(len, exterior)]), point[np.concatenate(exterior), :2]
+    along = plan[:, 1] * normal[owner, 0] - plan[:, 0] * normal[owner, 1]
+    # the first of the least and of the greatest
+    ends = [
+        np.lexsort((each, owner))[np.searchsorted(owner, np.arange(len(wall)))] for each in (along, -along)
+    ]
+    segment = np.stack([plan[each] for each in ends], axis=1)
     building = np.array([faces[number].building for number in wall], int)
     lines = np.asarray(shapely.linestrings(segment), object)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOLERANCE_M)

@@ -7,7 +7,8 @@ import pytest
 import shapely
 from toy_roofs import sample
 
-from p2wss.fit.points import even_order, every_kth, roof_points
+from p2wss.data.points import points_on_building
+from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof.fitter import FittedRoof, edge_groups, fit_roof, roof_loss
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.settings import Parametric
@@ -188,9 +189,9 @@ def test_roof_points_are_those_over_the_footprint():
     polygon = shapely.Polygon(RECTANGLE)
     point_m = np.array([[1, 1, 9], [12, 1, 9], [2, 2, 9], [3, 3, 9], [4, 4, 1.0]])
     building = np.full(5, 6, np.uint8)
-    assert len(roof_points(polygon, np.tile(point_m, (4, 1)), np.tile(building, 4))) == 16
+    assert points_on_building(polygon, np.tile(point_m, (4, 1)), np.tile(building, 4)).sum() == 16
     unclassified = np.ones(5, np.uint8)
-    assert roof_points(polygon, point_m, unclassified)[:, 0].tolist() == [1, 2, 3]
+    assert point_m[points_on_building(polygon, point_m, unclassified), 0].tolist() == [1, 2, 3]
 
 
 def test_every_kth_along_the_curve_is_even():
