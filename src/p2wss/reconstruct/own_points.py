@@ -3,8 +3,8 @@
 Along the border to another building, points may be of that one: its roof reaches over the border, or the map has the
 border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that the building has
 only in a strip along it, with a step to what it has further within, is the neighbour's if that is at the same height
-beyond the border, and so are returns from walls above the building's own roof. The same rule holds from the other side, so that no order of buildings matters.
-Roofs that the producer took for ground are told by what is beside them.
+beyond the border, and so are returns from walls above the building's own roof. The same rule holds from the other side,
+so that no order of buildings matters. Roofs that the producer took for ground are told by what is beside them.
 """
 
 from __future__ import annotations
