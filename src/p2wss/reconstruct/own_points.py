@@ -133,12 +133,14 @@ def _theirs(
     near_z, rise_m = point_m[is_near, 2], _rise_m(surface[is_near], surface[shows])
     beyond_m = point_m[is_solid & ~inside]
     far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_near, len(beyond_m)))
-    other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf)
-    top_z = other_z.max(axis=1)
+    higher_m = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf) - near_z[:, None]
+    most_m = higher_m.max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    is_above = (rise_m > RULES.step_m) & ((near_z < top_z + RULES.step_m) | np.isinf(top_z))
-    is_below = (rise_m < -RULES.step_m) & (np.abs(other_z - near_z[:, None]) < RULES.step_m).any(axis=1)
-    result[is_near] &= is_above | is_below
+    result[is_near] &= np.where(
+        rise_m > 0,
+        (rise_m > RULES.step_m) & ((most_m > -RULES.step_m) | np.isinf(most_m)),
+        (rise_m < -RULES.step_m) & (np.abs(higher_m) < RULES.step_m).any(axis=1),
+    )
     return result
 
 

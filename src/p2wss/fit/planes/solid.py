@@ -56,9 +56,9 @@ def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray) -> np.nda
     """bool (s,): the sides of cells that end where roofs are high and low in turn around a place: four walls would
     share an upright edge, which no solid has."""
     place = cells.side.T.ravel()
-    number = np.append(label, OUTSIDE)[np.tile(cells.pair.T, 2)]
-    with_ground = np.vstack([plane, np.zeros(3)])
-    low_m, high_m = np.sort([height_over(with_ground, each, cells.xy_m[place]) for each in number], axis=0)
+    # the ground is the last plane
+    number, plane = np.append(label, OUTSIDE)[np.tile(cells.pair.T, 2)], np.vstack([plane, np.zeros(3)])
+    low_m, high_m = np.sort([height_over(plane, each, cells.xy_m[place]) for each in number], axis=0)
     # walls begin and end, in the order of the places and from below
     place, change = np.tile(place, 2), np.repeat([1, -1], len(place))
     order = np.lexsort((change, np.append(low_m + _SAME_HEIGHT_M, high_m), place))
