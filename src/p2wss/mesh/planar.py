@@ -66,15 +66,14 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
 
 def _with_wide_triangles(mesh: Mesh) -> Mesh:
     """The mesh whose faces are divided by constrained Delaunay triangulation; the mesh itself if a face is no valid
-    polygon, or has a vertex within."""
+    polygon, or has a vertex within, or if two faces in one place, as of a wall without thickness, share a diagonal."""
     first = np.unique(mesh.face, return_index=True)[1]
     normal = mesh.planes.normal[mesh.planes.number[first]]
     triangle, face = triangulated_in_space(
         mesh.vertex_m, [surface.rings for surface in mesh.surfaces], normal
     )
-    if len(triangle) != len(mesh.triangle):
-        return mesh
-    return Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
+    result = Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
+    return result if len(triangle) == len(mesh.triangle) and result.is_closed else mesh
 
 
 def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collection[int] = ()) -> Mesh | None:

@@ -2,9 +2,9 @@
 
 Along the border to another building, points may be of that one: its roof reaches over the border, or the map has the
 border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that the building has
-only in a strip along it, with a step to what it has further within, is the neighbour's if that is as high beyond the
-border, and so are returns from walls. The same rule holds from the other side, so that no order of buildings matters.
-Roofs that the producer took for ground are told by what is beside them.
+only in a strip along it, with a step to what it has further within, is the neighbour's if that is at the same height
+beyond the border, and so are returns from walls above the building's own roof. The same rule holds from the other side,
+so that no order of buildings matters. Roofs that the producer took for ground are told by what is beside them.
 """
 
 from __future__ import annotations
@@ -112,16 +112,17 @@ def _theirs(
     is_deep = own & ~is_near
     if not is_near.any() or not is_deep.any():
         return result
-    near_m = point_m[is_near]
-    if not _differs(near_m, np.zeros((1, 2)), point_m[is_deep]).any():
+    surface = np.column_stack([point_m, np.full((len(point_m), 2), np.nan)])
+    if (np.abs(_rise_m(surface[is_near], surface[is_deep])) < RULES.step_m).all():
         return result
     band = np.flatnonzero(own | (is_high & ~inside))
     ring_m2 = polygon.buffer(strip_m).area - inner.area
     chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
     found = detect(chosen, max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2), (), _DETECTION)
     # the last plane is that of points without one
-    plane, label = np.vstack([found.plane, np.zeros(3)]), np.full(len(point_m), len(found.plane))
+    plane, label = np.vstack([found.plane, np.full(3, np.nan)]), np.full(len(point_m), len(found.plane))
     label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]] % len(plane)
+    surface[:, 3:] = plane[label, :2]
     num_near, num_deep = (np.bincount(label[mask], minlength=len(plane)) for mask in (is_near, is_deep))
     has_plane = label < len(found.plane)
     is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
@@ -129,19 +130,27 @@ def _theirs(
     if not shows.any():
         return result
     result = is_near & is_high & ~(has_plane & is_own[label])
+    near_z, rise_m = point_m[is_near, 2], _rise_m(surface[is_near], surface[shows])
     beyond_m = point_m[is_solid & ~inside]
-    far_m, other = nearest(beyond_m[:, :2], near_m[:, :2], min(RULES.num_near, len(beyond_m)))
-    other_z = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf).max(axis=1)
+    far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_near, len(beyond_m)))
+    higher_m = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf) - near_z[:, None]
+    most_m = higher_m.max(axis=1)
     # without points beyond, nothing shows that the building ends here
-    result[is_near] &= (near_m[:, 2] < other_z + RULES.step_m) | np.isinf(other_z)
-    result[is_near] &= _differs(near_m, plane[label[is_near], :2], point_m[shows])
+    result[is_near] &= np.where(
+        rise_m > 0,
+        (rise_m > RULES.step_m) & ((most_m > -RULES.step_m) | np.isinf(most_m)),
+        (rise_m < -RULES.step_m) & (np.abs(higher_m) < RULES.step_m).any(axis=1),
+    )
     return result
 
 
-def _differs(place_m: np.ndarray, slope: np.ndarray, own_m: np.ndarray) -> np.ndarray:
-    """Whether there is a step between surfaces of a slope (m, 2) through points (m, 3) and the points (n, 3) nearest to
-    them, bool (m,)."""
-    _, beside = nearest(own_m[:, :2], place_m[:, :2], min(RULES.num_near, len(own_m)))
-    apart_m = own_m[beside] - place_m[:, None]
-    step_m = apart_m[:, :, 2] - (apart_m[:, :, :2] * slope[:, None]).sum(axis=2)
-    return np.asarray(np.median(np.abs(step_m), axis=1) > RULES.step_m)
+def _rise_m(place: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """How far surfaces at places (m, 5) rise above the own ones (n, 5) nearest to them, (m,): x, y, z in metres and the
+    slope there, not a number where it is unknown. A fold between them is no step."""
+    _, beside = nearest(own[:, :2], place[:, :2], min(RULES.num_near, len(own)))
+    apart = place[:, None] - own[beside]
+    rises_m = [(apart[:, :, :2] * slope).sum(axis=2) for slope in (place[:, None, 3:], own[beside, 3:])]
+    low_m, high_m = np.nan_to_num([np.fmin(*rises_m), np.fmax(*rises_m)])
+    is_fold = (low_m < apart[:, :, 2]) & (apart[:, :, 2] < high_m)
+    step_m = np.where(is_fold, 0.0, apart[:, :, 2] - (low_m + high_m) / 2)
+    return np.asarray(np.median(step_m, axis=1))

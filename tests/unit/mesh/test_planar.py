@@ -7,10 +7,15 @@ import pytest
 from kernel_unions import union
 
 from p2wss import skeleton
+from p2wss.fit.mesh.simplification import simplified
+from p2wss.fit.planes.arrangement import arrange
+from p2wss.fit.planes.lines import Line
+from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
 from p2wss.mesh.meeting import with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
+from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton import FaceKind, Polygons
 
 RING = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
@@ -215,3 +220,23 @@ def test_a_plane_without_area_is_no_reason_to_fail(kind: FaceKind) -> None:
     exact = with_exact_faces(mesh, 0.2)
     assert exact.is_closed and np.isfinite(exact.vertex_m).all()
     assert exact.volume_m3 == pytest.approx(mesh.volume_m3, rel=0.01)
+
+
+def test_a_face_without_area_has_no_triangles() -> None:
+    point_m = np.array([[0.0, 0.0, 5.0], [4.0, 0.0, 5.0], [4.0, 3.0, 5.0], [2.0, 0.0, 5.0]])
+    triangle, face = triangulated_in_space(
+        point_m, [[[0, 3, 1]], [[0, 1, 2]]], np.array([[0, 0, 0.0], [0, 0, 1]])
+    )
+    assert face.tolist() == [1] and sorted(triangle[0].tolist()) == [0, 1, 2]
+
+
+def test_a_thin_wall_across_a_roof_leaves_the_mesh_closed() -> None:
+    """Its two faces are in one place once its short edges are gone."""
+    across = np.array([1.0, 0.0])
+    cells = arrange([RING], [Line(across, 6.0), Line(across, 6.15)])
+    plane = np.array([[0.1, 0, 3], [0, 0, 20], [-0.1, 0, 3.8]])
+    x = cells.middle_m[:, 0]
+    solid = solid_below(cells, (x > 6).astype(int) + (x > 6.15), plane, RING)
+    assert solid is not None
+    mesh = simplified(solid.vertex_m, solid.triangle)
+    assert mesh is not None and with_exact_faces(mesh, 0.2).is_closed

@@ -140,6 +140,23 @@ def test_a_roof_that_rises_from_the_level_of_the_building_is_the_neighbours_wher
     assert found[is_strip & (y > 6.5)].all() and not found[~is_strip | (y < 5)].any()
 
 
+def test_a_low_level_at_the_border_is_the_buildings_where_the_neighbour_has_none_as_low() -> None:
+    """No neighbour of 15 m shows what is below the roof of the building; one of 4 m does."""
+    point_m = surface({(-1, 7.3): 9.0, (7.3, 8): 4.0, (8, 9): 15.0})
+    assert not theirs(point_m).any()
+    point_m[point_m[:, 2] > 10, 2] = 4.0
+    assert (theirs(point_m) == ((point_m[:, 0] > 7.3) & (point_m[:, 0] < 8))).all()
+
+
+def test_a_falling_eave_above_a_level_roof_is_the_neighbours_though_points_are_few() -> None:
+    """On the way to the next point of the roof, its plane would have fallen nearly to that."""
+    x, y = np.random.default_rng(2).uniform((-1, 0), (9, 10), (200, 2)).T
+    is_eave = x > 7.2
+    point_m = np.column_stack([x, y, np.where(is_eave, 4.9 + 1.2 * (x - 7.2), 4.0)])
+    found = theirs(point_m)
+    assert found[is_eave & (x < 8)].mean() > 0.8 and not found[~is_eave].any()
+
+
 def test_the_steep_eave_of_a_mansard_is_the_buildings() -> None:
     """It is no wider than the strip, but there is no step above it."""
     point_m = surface({(-1, 9): 0.0})

@@ -14,15 +14,15 @@ from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import lines_of
 from p2wss.fit.planes.regularity import regular
-from p2wss.fit.planes.solid import OUTSIDE, solid_below
+from p2wss.fit.planes.solid import OUTSIDE, at_pinch, solid_below
 from p2wss.fit.points import even_order
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 
-# multiples of the prices: where a solid is not closed, one with fewer faces may be
-_DEARER = (1.0, 2.0, 4.0)
+# cubic metres: the price, beyond all others, of each side that ends in an upright edge of four walls
+_PINCH_M3 = 1e6
 # directions of a footprint along which few points show planes
 _NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
@@ -101,23 +101,33 @@ def fit_planes(
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
     cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
     cell = cells.cells_at(point_m[:, :2])
-    for dearer in _DEARER:
-        prices = settings.times(dearer).prices.for_density(density)
-        costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
-        label = least_cost(costs)
-        built = label
-        if num_open:
-            built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
-        mesh = solid_below(cells, built, plane, np.concatenate(rings))
-        if mesh is None and built is not label:
-            built, mesh = label, solid_below(cells, label, plane, np.concatenate(rings))
-        if mesh is not None:
-            break
-    else:
+    prices = settings.prices.for_density(density)
+    costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
+    built = label = _without_pinches(cells, costs, least_cost(costs), plane)
+    if num_open:
+        built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
+    mesh = solid_below(cells, built, plane, np.concatenate(rings))
+    if mesh is None:
         return None
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
     return PlanesFit(plane, cells, label, body, num_bodies, mesh)
+
+
+def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """The labels (c,) after cells where four walls would share an upright edge have got planes of those beside them, as
+    cheaply as possible."""
+    while True:
+        pair = cells.pair[at_pinch(cells, label, plane) & (cells.pair >= 0).all(axis=1)]
+        moves = np.vstack([pair, pair[:, ::-1]])
+        changed = [np.where(np.arange(len(label)) == cell, label[beside], label) for cell, beside in moves]
+        best = min(
+            [label, *changed],
+            key=lambda each: costs.total_m3(each) + _PINCH_M3 * at_pinch(cells, each, plane).sum(),
+        )
+        if best is label:
+            return label
+        label = best
 
 
 def _without_open_ground(
@@ -138,6 +148,7 @@ def _without_open_ground(
     for number in np.unique(face[is_open]).tolist():
         rest = np.where(face == number, OUTSIDE, label)
         beside = costs.pair[(rest[costs.pair] != OUTSIDE).all(axis=1)]
-        if len(np.unique(groups(len(rest), beside)[rest != OUTSIDE])) == 1:
+        is_one = len(np.unique(groups(len(rest), beside)[rest != OUTSIDE])) == 1
+        if is_one and not at_pinch(cells, rest, plane).any():
             label = rest
     return label

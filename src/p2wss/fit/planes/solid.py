@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 
 from p2wss.fit.planes.arrangement import GRID_M, Arrangement, furthest_m
+from p2wss.fit.planes.detection import height_over
 from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import simple_rings
@@ -49,6 +50,19 @@ def solid_below(
         if mesh is not None:
             return mesh
     return None
+
+
+def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """bool (s,): the sides of cells that end where roofs are high and low in turn around a place: four walls would
+    share an upright edge, which no solid has."""
+    place = cells.side.T.ravel()
+    # the ground is the last plane
+    number, plane = np.append(label, OUTSIDE)[np.tile(cells.pair.T, 2)], np.vstack([plane, np.zeros(3)])
+    low_m, high_m = np.sort([height_over(plane, each, cells.xy_m[place]) for each in number], axis=0)
+    # walls begin and end, in the order of the places and from below
+    place, change = np.tile(place, 2), np.repeat([1, -1], len(place))
+    order = np.lexsort((change, np.append(low_m + _SAME_HEIGHT_M, high_m), place))
+    return np.asarray(np.isin(cells.side, place[order[np.cumsum(change[order]) > 2]]).any(axis=1))
 
 
 @dataclass
