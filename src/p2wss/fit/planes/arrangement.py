@@ -44,6 +44,16 @@ class Arrangement:
             np.maximum.at(high_z, cell, height_m.max(axis=1))
         return low_z, high_z
 
+    def places(self, step_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(xy_m (p, 2), cell (p,), area_m2 (p,)) of places so far apart, at least one in each cell, and the part of its
+        cell that each stands for."""
+        low, high = self.xy_m.min(axis=0), self.xy_m.max(axis=0)
+        grid = np.meshgrid(*(np.arange(*ends, step_m) for ends in zip(low, high, strict=True)))
+        xy_m = np.vstack([np.column_stack([each.ravel() for each in grid]), self.middle_m])
+        cell = np.append(self.cells_at(xy_m[: -len(self.middle_m)]), np.arange(len(self.middle_m)))
+        xy_m, cell = xy_m[cell >= 0], cell[cell >= 0]
+        return xy_m, cell, self.area_m2[cell] / np.bincount(cell)[cell]
+
     def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
         """int (m,), the cell at each place (m, 2), -1 outside."""
         place, cell = self.tree.query(shapely.points(xy_m), predicate="intersects")

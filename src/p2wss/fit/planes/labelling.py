@@ -85,9 +85,14 @@ def costs_of(
     its cell, -1 for none. density: points per square metre, each of which stands for an area."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
+    row, cell, num = np.flatnonzero(of_cell >= 0), of_cell[of_cell >= 0], np.ones(1)
+    import os
+    if density < float(os.environ.get("BELOW", "0")):
+        xy_m, cell, area_m2 = cells.places(density**-0.5 / 5)
+        row, num = nearest(point_m[:, :2], xy_m)[1][:, 0], area_m2[:, None] * density
+    place = np.add.outer(cell * num_planes, np.arange(num_planes)).ravel()
     num_places = len(cells.area_m2) * num_planes
-    off_m3 = np.bincount(place, off_m[of_cell >= 0].ravel() / density, num_places)
+    off_m3 = np.bincount(place, (off_m[row] * num).ravel() / density, num_places)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
     beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
