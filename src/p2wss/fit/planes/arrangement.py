@@ -45,14 +45,14 @@ class Arrangement:
         return low_z, high_z
 
     def places(self, step_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(xy_m (p, 2), cell (p,), area_m2 (p,)) of places so far apart, at least one in each cell, and the part of its
-        cell that each stands for."""
+        """(places (p, 2) so far apart, at least one in each cell; their cells, int (p,); how many there are per square
+        metre of the cell (p,))."""
         low, high = self.xy_m.min(axis=0), self.xy_m.max(axis=0)
-        grid = np.meshgrid(*(np.arange(*ends, step_m) for ends in zip(low, high, strict=True)))
-        xy_m = np.vstack([np.column_stack([each.ravel() for each in grid]), self.middle_m])
-        cell = np.append(self.cells_at(xy_m[: -len(self.middle_m)]), np.arange(len(self.middle_m)))
+        x, y = np.meshgrid(*(np.arange(*ends, step_m) for ends in zip(low, high, strict=True)))
+        xy_m = np.vstack([np.column_stack([x.ravel(), y.ravel()]), self.middle_m])
+        cell = self.cells_at(xy_m)
         xy_m, cell = xy_m[cell >= 0], cell[cell >= 0]
-        return xy_m, cell, self.area_m2[cell] / np.bincount(cell)[cell]
+        return xy_m, cell, (np.bincount(cell) / self.area_m2)[cell]
 
     def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
         """int (m,), the cell at each place (m, 2), -1 outside."""

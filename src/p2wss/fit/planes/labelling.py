@@ -23,6 +23,8 @@ _MAX_ROUNDS = 4
 # metres above the ground: no roof is lower, at a price beyond all others
 _LOWEST_M, _FORBIDDEN_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
+# places across the distance between few points, at which roofs are compared with the nearest of these
+_PLACES_PER_GAP = 3
 # steps to a cell that no path reaches
 _NOT_REACHED = -1
 
@@ -82,17 +84,19 @@ def costs_of(
     prices: PlanePrices,
 ) -> Costs:
     """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). of_cell: (m,),
-    its cell, -1 for none. density: points per square metre, each of which stands for an area."""
+    its cell, -1 for none. density: points per square metre, each of which stands for an area; where they are few, that
+    to which it is the nearest."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    row, cell, num = np.flatnonzero(of_cell >= 0), of_cell[of_cell >= 0], np.ones(1)
-    import os
-    if density < float(os.environ.get("BELOW", "0")):
-        xy_m, cell, area_m2 = cells.places(density**-0.5 / 5)
-        row, num = nearest(point_m[:, :2], xy_m)[1][:, 0], area_m2[:, None] * density
-    place = np.add.outer(cell * num_planes, np.arange(num_planes)).ravel()
+    row, per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density)
+    of_row = of_cell[row]
+    if density < prices.few_per_m2:
+        # many cells have no point: each place pays for the point nearest to it
+        place_m, of_row, per_m2 = cells.places(density**-0.5 / _PLACES_PER_GAP)
+        row = nearest(point_m[:, :2], place_m)[1][:, 0]
+    place = np.add.outer(of_row * num_planes, np.arange(num_planes)).ravel()
     num_places = len(cells.area_m2) * num_planes
-    off_m3 = np.bincount(place, (off_m[row] * num).ravel() / density, num_places)
+    off_m3 = np.bincount(place, (off_m[row] / per_m2[:, None]).ravel(), num_places)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
     beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
