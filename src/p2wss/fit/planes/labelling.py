@@ -88,12 +88,14 @@ def costs_of(
     to which it is the nearest."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    row, per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density)
+    row, per_m2, seen_per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density), density
     of_row = of_cell[row]
     if density < prices.few_per_m2:
         # many cells have no point: each place pays for the point nearest to it
         place_m, of_row, per_m2 = cells.places(density**-0.5 / _PLACES_PER_GAP)
         row = nearest(point_m[:, :2], place_m)[1][:, 0]
+        # roofs around show the lowest and the highest places, too
+        seen_per_m2 = len(point_m) / float(cells.area_m2.sum())
     place = np.add.outer(of_row * num_planes, np.arange(num_planes)).ravel()
     num_places = len(cells.area_m2) * num_planes
     off_m3 = np.bincount(place, (off_m[row] / per_m2[:, None]).ravel(), num_places)
@@ -102,7 +104,7 @@ def costs_of(
     beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
     expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
     # between the last point and the end of a roof
-    gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * density**0.5)
+    gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * seen_per_m2**0.5)
     above_m = high_z - point_m[:, 2].max() - gap_m - prices.support_m
     below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z
     unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)
