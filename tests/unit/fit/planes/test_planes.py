@@ -375,7 +375,8 @@ def test_two_points_show_no_slope_and_the_highest_of_a_slope_a_level_roof() -> N
     for num_points, num_sloped in ((1, 0), (2, 0), (3, 1)):
         found = detect(rising_m[:num_points], 0.02, along, PLANES.detection)
         assert np.count_nonzero(np.hypot(*found.plane[:, :2].T) > 0.1) == num_sloped
-        assert set(found.label[:num_points]) == set(range(len(found.plane)))
+        height_m = height_over(found.plane, found.label, rising_m[:num_points, :2])
+        assert height_m == pytest.approx(rising_m[:num_points, 2])
     fit = fit_planes(rings, rising_m, PLANES)
     assert fit is not None and fit.mesh.vertex_m[:, 2].max() == pytest.approx(7.0, abs=0.5)
 
@@ -390,6 +391,19 @@ def test_a_cell_without_any_of_few_points_costs_what_the_nearest_show(density: f
     cell = cells.cells_at(point_m[:, :2])
     costs = costs_of(cells, plane, np.array([1, 0, 0, 0]), point_m, cell, density, prices)
     assert costs.cell_m3[1 - cell[0]] == pytest.approx([0.0, 50 * off_m])
+
+
+def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells, plane = arrange([square], []), np.array([[1.0, 0.0, 3.0]])
+    around_m = np.column_stack([np.linspace(-3, 1, 25), np.full(25, -1.0), np.linspace(0, 4, 25)])
+    point_m = np.vstack([[1.0, 5.0, 4.0], around_m])
+    of_cell, label = np.append(0, np.full(25, -1)), np.zeros(26, int)
+    prices = PLANES.prices._replace(beyond_share=0.0, cap_m=99.0)
+    costs = costs_of(cells, plane, label, point_m, of_cell, 0.01, prices)
+    # 13 m high at the far side; half the distance between 26 points on 100 square metres
+    expected_m = 13.0 - 4.0 - 0.5 / 0.26**0.5 - prices.support_m
+    assert costs.cell_m3[0, 0] == pytest.approx(100 * expected_m)
 
 
 def test_places_are_shared_out_among_the_cells_by_their_areas() -> None:
