@@ -35,12 +35,13 @@ def triangulated(
 def triangulated_in_space(
     point_m: np.ndarray, faces: Sequence[Sequence[Sequence[int] | np.ndarray]], normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the rings of faces, at least one, of points (v, 3). normal: (f, 3), the unit normals of the faces."""
+    """The same of the rings of faces, at least one, of points (v, 3). normal: (f, 3), the unit normals of the faces; a
+    face without area, whose normal is 0, has no triangles."""
     rings = [ring for face in faces for ring in face]
     face_of_ring = np.repeat(np.arange(len(faces)), list(map(len, faces)))
     corner, ring = np.concatenate(rings), np.repeat(np.arange(len(rings)), list(map(len, rings)))
     across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
-    across /= np.linalg.norm(across, axis=1)[:, None]
+    across /= np.maximum(np.linalg.norm(across, axis=1), np.finfo(float).tiny)[:, None]
     axes = np.stack([across, np.cross(normal, across)], axis=1)[face_of_ring[ring]]
     place_m = (axes @ (point_m[corner] - point_m[0])[..., None])[..., 0]
     return triangulated(place_m, corner, ring, face_of_ring)

@@ -11,6 +11,7 @@ from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
 from p2wss.mesh.meeting import with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
+from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton import FaceKind, Polygons
 
 RING = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
@@ -215,3 +216,10 @@ def test_a_plane_without_area_is_no_reason_to_fail(kind: FaceKind) -> None:
     exact = with_exact_faces(mesh, 0.2)
     assert exact.is_closed and np.isfinite(exact.vertex_m).all()
     assert exact.volume_m3 == pytest.approx(mesh.volume_m3, rel=0.01)
+
+
+def test_a_face_without_area_has_no_triangles() -> None:
+    corner_m = np.array([[0.0, 0, 0], [4, 0, 0], [4, 3, 0], [0, 3, 0], [2, 0, 0]])
+    normal = np.array([[0.0, 0, 1], [0, 0, 0]])
+    triangle, face = triangulated_in_space(corner_m, [[[0, 1, 2, 3]], [[0, 1, 4]]], normal)
+    assert len(triangle) == 2 and (face == 0).all()
