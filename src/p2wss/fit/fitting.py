@@ -137,13 +137,18 @@ def prepare(task: _Task) -> _Prepared | str:
 def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     """The solid below the planes that the points show; None where there are too few of them, or the parametric model is
     asked for."""
-    config, thresholds, point_m = task.config, task.thresholds, prepared.point_m
-    if config.roofs == "parametric" or len(point_m) < thresholds.min_plane_points:
+    config, thresholds, point_m, around_m = (
+        task.config,
+        task.thresholds,
+        prepared.point_m,
+        task.building.around_m,
+    )
+    # what roofs around show counts, too: of a house whose only points are on its annex, they show the rest
+    if config.roofs == "parametric" or len(point_m) + len(around_m) < thresholds.min_plane_points:
         return None
     # open ground gets the lowest roof
     raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
     settings = thresholds.planes.times(thresholds.detail[config.detail])
-    around_m = task.building.around_m
     planes = fit_planes(prepared.rings, raised_m, settings, prepared.open_ground.num_ground, around_m)
     if planes is None:
         return None

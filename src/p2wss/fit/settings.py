@@ -115,7 +115,10 @@ class Detection(NamedTuple):
     # per square metre: fewer points are sparse, and the surface around one of them shows nothing
     sparse_per_m2: float = 2.0
     num_sparse_neighbours: int = 8
+    # so few of them show a level roof, so many a slope; of at most so many points in all, each one shows a level roof
     min_sparse_points: int = 2
+    min_slope_points: int = 3
+    num_few_points: int = 300
     # points from which planes through sparse points are sought, and at most so many times all points
     num_seeds: int = 120
     max_seed_points: int = 40000
@@ -175,8 +178,11 @@ class PlanePrices(NamedTuple):
     small_step_m: float = 0.4
     # tangent of the angle below which two planes are nearly the same
     shallow: float = 0.09
-    # metres: larger residuals count as this
+    # metres: larger residuals count as this, or as so many distances between points; swept on thinned clouds
     cap_m: float = 1.0
+    cap_gaps: float = 2.0
+    # points per square metre: with fewer, a roof is compared with the nearest points also where it has none
+    few_per_m2: float = 0.6
     # metres between the roof and one point: a face and a line with steps also cost these, times the area for which a
     # point stands, so that no single one of few points makes a face; swept on thinned clouds
     face_m: float = 0.3
@@ -190,7 +196,9 @@ class PlanePrices(NamedTuple):
     def for_density(self, per_m2: float) -> PlanePrices:
         """The prices where so many points are on a square metre."""
         return self._replace(
-            face_m3=self.face_m3 + self.face_m / per_m2, line_m3=self.line_m3 + self.line_m / per_m2
+            face_m3=self.face_m3 + self.face_m / per_m2,
+            line_m3=self.line_m3 + self.line_m / per_m2,
+            cap_m=max(self.cap_m, self.cap_gaps * per_m2**-0.5),
         )
 
 
@@ -217,7 +225,7 @@ class Thresholds:
     parametric: Parametric = field(default_factory=Parametric)
     chimneys: Chimneys = field(default_factory=Chimneys)
     planes: Planes = field(default_factory=Planes)
-    # points on a roof: with fewer, the parametric model knows more than planes in them show
+    # points on a roof and on those around it: with fewer, the parametric model knows more than planes in them show
     min_plane_points: int = 5
     # metres: shorter edges of the mesh are removed, if no vertex moves further
     short_edge_m: float = 0.2

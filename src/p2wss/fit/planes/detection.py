@@ -65,8 +65,9 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     """
     is_sparse = density < settings.sparse_per_m2
     count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
+    min_sparse_points = 1 if len(point_m) <= settings.num_few_points else settings.min_sparse_points
     min_points = max(
-        settings.min_sparse_points if is_sparse else settings.min_points, int(settings.min_area_m2 * density)
+        min_sparse_points if is_sparse else settings.min_points, int(settings.min_area_m2 * density)
     )
     point_m = np.ascontiguousarray(point_m, float)
     _, neighbour = nearest(point_m, point_m, count)
@@ -86,13 +87,13 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
 
 @both
 def _fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
-    """The plane of the points in the first ``num`` of ``rows``."""
+    """The plane of the points in the first ``num`` of ``rows``; a level one of two."""
     centre = np.zeros(3)
     for t in range(num):
         for k in range(3):
             centre[k] += point_m[rows[t], k] / num
     a = b = c = 0.0
-    for step in range(4):
+    for step in range(4 if num > 2 else 0):
         xx = xy = yy = sx = sy = one = xz = yz = sz = 0.0
         for t in range(num):
             x, y = point_m[rows[t], 0] - centre[0], point_m[rows[t], 1] - centre[1]
@@ -227,7 +228,7 @@ def _largest(
     label, seen = np.full(num, -1), np.full(num, -1)
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
-    trial, num_trials = np.zeros(3), 0
+    trial, num_trials, min_slope_points = np.zeros(3), 0, max(min_points, settings.min_slope_points)
     while True:
         free = np.flatnonzero(label < 0)
         num_seeds = max(1, min(settings.num_seeds, settings.max_seed_points // num))
@@ -257,7 +258,7 @@ def _largest(
                             continue
                         if _distance(trial, point_m[near]) < settings.distance_m:
                             seen[near], rows[count], count = num_trials, near, count + 1
-                if score > best_score and count >= min_points:
+                if score > best_score and count >= (min_slope_points if slope else min_points):
                     best_score, best_count = score, count
                     best_rows[:count] = rows[:count]
         if best_count == 0:

@@ -95,6 +95,11 @@ def fit_planes(
     if not len(found.plane):
         return None
     plane = regular(found, point_m, along, settings.detection)
+    top = point_m[:, 2].argmax()
+    slope = plane[found.label[top], :2]
+    if density < settings.prices.few_per_m2 and slope.any() and (found.label == found.label[top]).sum() > 1:
+        # no slope need rise further than the highest point, where a ridge or a level roof may begin
+        found.label[top], plane = len(plane), np.vstack([plane, [0.0, 0.0, point_m[top, 2]]])
     # what is hidden is at a corner, as shadows come from beyond the footprint
     hidden_m = float(nearest(point_m[:, :2], np.concatenate(rings))[0].max())
     drawing = settings.drawing.for_density(density)

@@ -23,6 +23,8 @@ _MAX_ROUNDS = 4
 # metres above the ground: no roof is lower, at a price beyond all others
 _LOWEST_M, _FORBIDDEN_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
+# places across the distance between few points, at which roofs are compared with the nearest of these
+_PLACES_PER_GAP = 3
 # steps to a cell that no path reaches
 _NOT_REACHED = -1
 
@@ -82,18 +84,27 @@ def costs_of(
     prices: PlanePrices,
 ) -> Costs:
     """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). of_cell: (m,),
-    its cell, -1 for none. density: points per square metre, each of which stands for an area."""
+    its cell, -1 for none. density: points per square metre, each of which stands for an area; where they are few, that
+    to which it is the nearest."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
+    row, per_m2, seen_per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density), density
+    of_row = of_cell[row]
+    if density < prices.few_per_m2:
+        # many cells have no point: each place pays for the point nearest to it
+        place_m, of_row, per_m2 = cells.places(density**-0.5 / _PLACES_PER_GAP)
+        row = nearest(point_m[:, :2], place_m)[1][:, 0]
+        # roofs around show the lowest and the highest places, too
+        seen_per_m2 = len(point_m) / float(cells.area_m2.sum())
+    place = np.add.outer(of_row * num_planes, np.arange(num_planes)).ravel()
     num_places = len(cells.area_m2) * num_planes
-    off_m3 = np.bincount(place, off_m[of_cell >= 0].ravel() / density, num_places)
+    off_m3 = np.bincount(place, (off_m[row] / per_m2[:, None]).ravel(), num_places)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
     beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
     expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
     # between the last point and the end of a roof
-    gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * density**0.5)
+    gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * seen_per_m2**0.5)
     above_m = high_z - point_m[:, 2].max() - gap_m - prices.support_m
     below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z
     unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)

@@ -373,13 +373,59 @@ def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
     xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
     rings = [np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 12.0], [0.0, 12.0]])]
     num_planes = []
-    for up_m in (0.3, 0.7):
+    for up_m in (0.3, 1.0):
         z_m = np.full(len(xy_m), 4.0)
         z_m[:2] += up_m
         fit = fit_planes(rings, np.column_stack([xy_m, z_m]), PLANES)
         assert fit is not None
         num_planes.append(len(np.unique(fit.label)))
     assert num_planes == [1, 2]
+
+
+def test_two_points_show_no_slope_and_the_highest_of_a_slope_a_level_roof() -> None:
+    rings, _ = gable(20, 8, 4, 0.0)
+    along = directions(rings, 4.0)
+    rising_m = np.array([[-8.0, 0.0, 3.0], [-4.0, 0.0, 5.0], [0.0, 0.0, 7.0]])
+    for num_points, num_sloped in ((1, 0), (2, 0), (3, 1)):
+        found = detect(rising_m[:num_points], 0.02, along, PLANES.detection)
+        assert np.count_nonzero(np.hypot(*found.plane[:, :2].T) > 0.1) == num_sloped
+        height_m = height_over(found.plane, found.label, rising_m[:num_points, :2])
+        assert height_m == pytest.approx(rising_m[:num_points, 2])
+    fit = fit_planes(rings, rising_m, PLANES)
+    assert fit is not None and fit.mesh.vertex_m[:, 2].max() == pytest.approx(7.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("density", "off_m"), [(0.04, 1.0), (1.0, 0.0)])
+def test_a_cell_without_any_of_few_points_costs_what_the_nearest_show(density: float, off_m: float) -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0)])
+    point_m = np.array([[1.0, 1.0, 4.0], [4.5, 2.0, 3.0], [4.5, 5.0, 3.0], [4.5, 8.0, 3.0]])
+    plane = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 4.0]])
+    prices = PLANES.prices._replace(beyond_share=0.0, support_m=9.0)
+    cell = cells.cells_at(point_m[:, :2])
+    costs = costs_of(cells, plane, np.array([1, 0, 0, 0]), point_m, cell, density, prices)
+    assert costs.cell_m3[1 - cell[0]] == pytest.approx([0.0, 50 * off_m])
+
+
+def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells, plane = arrange([square], []), np.array([[1.0, 0.0, 3.0]])
+    around_m = np.column_stack([np.linspace(-3, 1, 25), np.full(25, -1.0), np.linspace(0, 4, 25)])
+    point_m = np.vstack([[1.0, 5.0, 4.0], around_m])
+    of_cell, label = np.append(0, np.full(25, -1)), np.zeros(26, int)
+    prices = PLANES.prices._replace(beyond_share=0.0, cap_m=99.0)
+    costs = costs_of(cells, plane, label, point_m, of_cell, 0.01, prices)
+    # 13 m high at the far side; half the distance between 26 points on 100 square metres
+    expected_m = 13.0 - 4.0 - 0.5 / 0.26**0.5 - prices.support_m
+    assert costs.cell_m3[0, 0] == pytest.approx(100 * expected_m)
+
+
+def test_places_are_shared_out_among_the_cells_by_their_areas() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), 9.9)])
+    xy_m, cell, per_m2 = cells.places(1.5)
+    assert (cells.cells_at(xy_m) == cell).all() and len(np.unique(cell)) == 2
+    assert np.bincount(cell, 1 / per_m2) == pytest.approx(cells.area_m2)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -392,12 +438,13 @@ def test_the_roofs_of_a_row_show_that_of_a_house_with_few_points(seed: int) -> N
     alone, in_row = fit_planes(rings, few_m, PLANES), fit_planes(rings, few_m, PLANES, around_m=around_m)
     assert alone is not None and in_row is not None
     off_m = [residuals_m(fit, row_m[within]) for fit in (alone, in_row)]
-    assert off_m[1].mean() < 0.03 < off_m[0].mean()
+    assert off_m[1].mean() < 0.05 < off_m[0].mean()
 
 
-def test_too_few_points_show_no_plane() -> None:
-    rings, plane = gable(12, 8, 4, 0.0)
-    assert fit_planes(rings, sampled(rings, plane, 3)[:1], PLANES) is None
+def test_scattered_points_show_no_plane() -> None:
+    rings, _ = gable(12, 8, 4, 0.0)
+    scattered_m = np.random.default_rng(3).uniform([-6, -4, 0], [6, 4, 99], (300, 3))
+    assert fit_planes(rings, scattered_m, PLANES) is None
 
 
 def test_a_fit_does_not_depend_on_the_order_of_points() -> None:
