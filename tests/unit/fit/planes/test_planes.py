@@ -15,7 +15,7 @@ from p2wss.fit.mesh.simplification import collapse_vertices
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
-from p2wss.fit.planes.labelling import Costs, least_cost
+from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import at_pinch, solid_below
