@@ -93,7 +93,8 @@ def costs_of(
     if density < prices.few_per_m2:
         # many cells have no point: each place pays for the point nearest to it
         place_m, of_row, per_m2 = cells.places(density**-0.5 / _PLACES_PER_GAP)
-        row = nearest(point_m[:, :2], place_m)[1][:, 0]
+        row = np.flatnonzero(np.isin(label, label[row]))
+        row = row[nearest(point_m[row, :2], place_m)[1][:, 0]]
         # roofs around show the lowest and the highest places, too
         seen_per_m2 = len(point_m) / float(cells.area_m2.sum())
     place = np.add.outer(of_row * num_planes, np.arange(num_planes)).ravel()
