@@ -43,8 +43,9 @@ def crop_simulated(
     kind = np.where(is_own, face_of_point[cropped.point] & 3, 0)
     on_roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
     on_wall = kind == FaceKind.WALL
+    origin_xy_m = np.column_stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()])
     selection, columns = crop_columns(
-        cloud, cropped, footprints, _origins(buildings)[rows], on_roof, settings, num_excluded
+        cloud, cropped, footprints, origin_xy_m[rows], on_roof, settings, num_excluded
     )
     labels = buildings.take(rows[selection])
     columns |= {name: labels[name].combine_chunks() for name in _LABELS}
@@ -54,7 +55,3 @@ def crop_simulated(
         "num_wall_points": count_true(on_wall, cropped.offset)[selection].astype(np.int32),
     }
     return columns, num_excluded
-
-
-def _origins(buildings: pa.Table) -> np.ndarray:
-    return np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)

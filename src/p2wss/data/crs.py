@@ -275,7 +275,6 @@ def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: s
 
 def _accuracy_m(transformer: pyproj.Transformer) -> float | None:
     """Accuracy of the transformation that was used last, in metres; None if unknown."""
-    used = transformer.get_last_used_operation()
-    # a conversion between projections of one datum is exact
-    accuracy = 0.0 if used.accuracy == 0 else used.accuracy
+    # 0 of a conversion between projections of one datum, which is exact
+    accuracy = transformer.get_last_used_operation().accuracy
     return None if accuracy is None or accuracy < 0 else float(accuracy)

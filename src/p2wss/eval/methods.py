@@ -32,7 +32,6 @@ class MaskedPredictor(Predictor, Protocol):
         self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         """Heights (b,), footprints (v, 2) and angles (v,) with all numerical tokens masked."""
-        ...
 
 
 class Inputs(NamedTuple):

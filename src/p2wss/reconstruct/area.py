@@ -19,7 +19,7 @@ from p2wss.clouds.crops import GROUND_RINGS_M
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.data.tiling import Bounds, tiles_of_points
+from p2wss.data.tiling import Bounds, grown, tiles_of_points
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.registration import Registration, Surroundings, register
@@ -188,9 +188,7 @@ def window(features: Features) -> Bounds:
     """The bounds that a cloud must cover: the footprints and the ground around them."""
     if not len(features):
         return 0.0, 0.0, 0.0, 0.0
-    x_min, y_min, x_max, y_max = shapely.total_bounds(features.geometry).tolist()
-    margin_m = GROUND_RINGS_M[-1]
-    return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
+    return grown(shapely.total_bounds(features.geometry).tolist(), GROUND_RINGS_M[-1])
 
 
 def in_tile(features: Features, tile: str | None, tile_size_m: float) -> np.ndarray:

@@ -100,8 +100,15 @@ def _attributes(result: Result) -> dict[str, Any]:
 
 
 def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
-    movement = ("shift_x_m", "shift_y_m", "shift_sd_m", "shift_source")
-    names = (*movement, "footprint_flags", "ground_inside_m2", "roof_outside_m2")
+    names = (
+        "shift_x_m",
+        "shift_y_m",
+        "shift_sd_m",
+        "shift_source",
+        "footprint_flags",
+        "ground_inside_m2",
+        "roof_outside_m2",
+    )
     if registration is None:
         return dict.fromkeys(names)
     values = (

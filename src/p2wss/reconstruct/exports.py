@@ -13,6 +13,7 @@ import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import grown
 from p2wss.formats import gpkg, qgis, sionna
 from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
@@ -191,8 +192,7 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
         return None
     corners = np.concatenate([building.mesh.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = config.terrain_margin_m
-    bounds = (low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
+    bounds = grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m)
     try:
         result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
     except ValueError as error:

@@ -59,8 +59,7 @@ def constant(
     rings = [building.rings for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
     status = [reason if len(building.point_m) else reasons.NO_POINTS for building in buildings]
-    height = np.asarray(eave_height_m, float)
-    return build_meshes(buildings, rings, height, angle, method, config, status)
+    return build_meshes(buildings, rings, eave_height_m, angle, method, config, status)
 
 
 def flat_height_m(building: Building) -> float:

@@ -125,10 +125,9 @@ class _Cells:
         steps = [row * self._width + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
         self._neighbour = np.full((9, count), count)
         for k, step in enumerate(steps):
-            place = np.minimum(np.searchsorted(self._key, self._key + step), max(count - 1, 0))
-            if count:
-                exists = self._key[place] == self._key + step
-                self._neighbour[k, exists] = place[exists]
+            place = np.minimum(np.searchsorted(self._key, self._key + step), count - 1)
+            exists = self._key[place] == self._key + step
+            self._neighbour[k, exists] = place[exists]
 
     def around(self, mask: np.ndarray) -> np.ndarray:
         """How many of the nine cells around each are in the mask."""

@@ -59,11 +59,6 @@ class Inputs:
         return self.metric.crs
 
     @property
-    def cloud_name(self) -> Path:
-        """The first cloud, for messages."""
-        return self.headers[0].path
-
-    @property
     def footprints_name(self) -> Path:
         """The file of the footprints, for messages."""
         return self.footprints if isinstance(self.footprints, Path) else _FOOTPRINTS

@@ -21,16 +21,13 @@ class Predictor(Protocol):
     @property
     def max_num_vertices(self) -> int:
         """Largest number of vertices of an exterior ring."""
-        ...
 
     def with_num_views(self, num_views: int) -> Predictor:
         """The same network with predictions averaged over ``num_views`` views of a building."""
-        ...
 
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         """The heights and angles of buildings with these points, each (n, 3) with z above the ground, and rings as in
         :class:`Building`."""
-        ...
 
 
 def reconstruct_with_network(

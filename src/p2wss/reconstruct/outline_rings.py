@@ -179,12 +179,7 @@ def _seam(
     start, end = _foot(first, xy_m[0]), _foot(last, xy_m[-1])
     corners = [_corner(a, b) for a, b in itertools.pairwise(lines)]
     inner = [corner for corner in corners if corner is not None]
-    result = [
-        start - reach_m * first.direction,
-        *inner,
-        end + reach_m * last.direction,
-    ]
-    seam = shapely.LineString(result)
+    seam = shapely.LineString([start - reach_m * first.direction, *inner, end + reach_m * last.direction])
     # a corner far away means nearly parallel lines
     return seam if seam.length <= 2 * line.length + 2 * reach_m else shapely.LineString(xy_m)
 

@@ -23,6 +23,7 @@ from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
+from p2wss.reconstruct.unclassified import filled
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -137,11 +138,7 @@ def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.nd
     cells, start, count = np.unique(cell[order], return_index=True, return_counts=True)
     result = np.full(shape[0] * shape[1], np.nan)
     result[cells] = z_m[order][start + count // 2]
-    result = result.reshape(shape)
-    nearest = scipy.ndimage.distance_transform_edt(
-        np.isnan(result), return_distances=False, return_indices=True
-    )
-    return result[tuple(nearest)]
+    return filled(result.reshape(shape))
 
 
 def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: float) -> np.ndarray:

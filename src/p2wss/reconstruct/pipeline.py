@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date, timedelta
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from p2wss.reconstruct.processes import in_processes
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
-from p2wss.reconstruct.spool import Lazy
+from p2wss.reconstruct.spool import Lazy, Spool
 from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
@@ -67,14 +67,6 @@ def run(
     return [results[number] for number in range(len(features))]
 
 
-class Store(Protocol):
-    """Values by number: a dictionary, or a :class:`p2wss.reconstruct.spool.Spool`."""
-
-    def __getitem__(self, index: int, /) -> Any: ...
-
-    def __setitem__(self, index: int, value: Any, /) -> None: ...
-
-
 class Rows:
     """The rows of a run, reconstructed part by part, and at the end what depends on several parts.
 
@@ -86,7 +78,7 @@ class Rows:
     def __init__(
         self,
         num_rows: int,
-        results: Store,
+        results: dict[int, Any] | Spool[Any],
         predictor: Predictor | None,
         tile: str,
         config: Reconstruct,

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import date
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from p2wss.reconstruct.causes import cause_of
 from p2wss.reconstruct.measures import MeshMeasures, measure
 from p2wss.reconstruct.product import FIT
 from p2wss.reconstruct.registration import Registration
+
+if TYPE_CHECKING:
+    from p2wss.reconstruct.scene import SceneBuilding
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
@@ -154,20 +157,7 @@ def _visible_share(building: Building, on_building: np.ndarray) -> float:
     return float(share[0])
 
 
-class Outcome(Protocol):
-    """What :func:`summary` counts."""
-
-    @property
-    def status(self) -> str: ...
-
-    @property
-    def reason(self) -> str | None: ...
-
-    @property
-    def not_representable(self) -> bool: ...
-
-
-def summary(results: Iterable[Outcome]) -> str:
+def summary(results: Iterable[Result | SceneBuilding]) -> str:
     """One line: how many of each status, and why.
 
     ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``

@@ -306,8 +306,7 @@ def reconstruct(
     with ExitStack() as resources:
         rows, boxes, around = features.take(area.is_chosen), area.boxes, None
         if settings.vegetation and len(rows):
-            x_min, y_min, x_max, y_max = shapely.total_bounds(rows.geometry).tolist()
-            around = grown((x_min, y_min, x_max, y_max), settings.terrain_margin_m)
+            around = grown(shapely.total_bounds(rows.geometry).tolist(), settings.terrain_margin_m)
             boxes = np.concatenate([boxes, [grown(around, vegetation.RULES.margin_m)]])
         points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
         store = resources.enter_context(Spool[Any](2 * len(area.numbers), folder))
@@ -401,7 +400,7 @@ def _reporting(
 
 def _no_overlap(num_footprints: int, inputs: Inputs) -> str:
     return (
-        f"{inputs.cloud_name}: no point near any of the {num_footprints} footprints of {inputs.footprints_name}:"
+        f"{inputs.headers[0].path}: no point near any of the {num_footprints} footprints of {inputs.footprints_name}:"
         " do they cover the same place, in the same CRS?"
     )
 

@@ -224,38 +224,33 @@ def edge_steps(
 
 def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: np.ndarray) -> Steps:
     """The steps from points sorted by edge and distance."""
-    count = np.bincount(of_edge, minlength=len(edge))
     offset_m, sd_m = np.full(len(edge), np.nan), np.full(len(edge), np.nan)
-    start = np.cumsum(count) - count
+    # from here on of the edges with points only
+    edges, start, of_point, count = np.unique(
+        of_edge, return_index=True, return_inverse=True, return_counts=True
+    )
     running = np.cumsum(value)
     before = np.concatenate([[0.0], running])[start]
-    score = running - before[of_edge]  # of a step just behind each point
-    some = np.flatnonzero(count > 0)
-    if not len(some):
-        return Steps(offset_m, sd_m)
-    best = np.full(len(edge), -np.inf)
-    best[some] = np.maximum.reduceat(score, start[some])
-    total = np.zeros(len(edge))
-    total[some] = score[start[some] + count[some] - 1]
+    score = running - before[of_point]  # of a step just behind each point
+    best = np.maximum.reduceat(score, start)
+    total = score[start + count - 1]
     index = np.arange(len(score))
-    at_best = np.where(score >= best[of_edge] - _ROUNDING, index, len(score))
-    last = np.zeros(len(edge), np.int64)
-    last[some] = np.minimum.reduceat(at_best, start[some])
-    nearly = np.where(score >= best[of_edge] - STEP.nearly_points, index, len(score))
-    nearly_first = np.zeros(len(edge), np.int64)
-    nearly_first[some] = np.minimum.reduceat(nearly, start[some])
+    at_best = np.where(score >= best[of_point] - _ROUNDING, index, len(score))
+    last = np.minimum.reduceat(at_best, start)
+    nearly = np.where(score >= best[of_point] - STEP.nearly_points, index, len(score))
+    nearly_first = np.minimum.reduceat(nearly, start)
     gain = np.minimum(best, best - total)
-    positive = np.bincount(of_edge, np.maximum(value, 0), len(edge))
-    negative = np.bincount(of_edge, np.maximum(-value, 0), len(edge))
-    clear = (gain >= STEP.min_gain_points) & (gain >= STEP.min_gain_share * np.minimum(positive, negative))
-    rows = np.flatnonzero(clear)
-    lower = distance[last[rows]]
-    beyond = np.minimum(last[rows] + 1, len(distance) - 1)
+    positive = np.bincount(of_point, np.maximum(value, 0))
+    negative = np.bincount(of_point, np.maximum(-value, 0))
+    is_clear = (gain >= STEP.min_gain_points) & (gain >= STEP.min_gain_share * np.minimum(positive, negative))
+    rows, last = edges[is_clear], last[is_clear]
+    lower = distance[last]
+    beyond = np.minimum(last + 1, len(distance) - 1)
     upper = np.where(of_edge[beyond] == rows, distance[beyond], WINDOW_M)
     length = np.linalg.norm(edge[rows, 2:] - edge[rows, :2], axis=1) - 2 * STEP.end_m
-    spacing = 1.0 / np.maximum(count[rows] / (2 * WINDOW_M), 1.0)
+    spacing = 1.0 / np.maximum(count[is_clear] / (2 * WINDOW_M), 1.0)
     offset_m[rows] = lower + np.minimum((upper - lower) / 2, spacing)
-    spread = lower - distance[np.minimum(nearly_first[rows], len(distance) - 1)]
+    spread = lower - distance[nearly_first[is_clear]]
     of_length = 1 + STEP.double_variance_m / np.maximum(length, STEP.least_length_m)
     sd_m[rows] = np.sqrt(STEP.sd_m**2 * of_length + (spread / 2) ** 2)
     return Steps(offset_m, sd_m)

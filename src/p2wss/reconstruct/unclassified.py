@@ -107,7 +107,7 @@ def _cells(cloud: Cloud) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     return row, column, (int(row.max()) + 1, int(column.max()) + 1)
 
 
-def _filled(raster: np.ndarray) -> np.ndarray:
+def filled(raster: np.ndarray) -> np.ndarray:
     """The raster with the nearest value in cells without one (NaN)."""
     index = scipy.ndimage.distance_transform_edt(
         np.isnan(raster), return_distances=False, return_indices=True
@@ -121,7 +121,7 @@ def _lowest(cloud: Cloud) -> np.ndarray:
     lowest = np.full(shape, np.inf)
     np.minimum.at(lowest, (row, column), cloud.z_m)
     lowest[np.isinf(lowest)] = np.nan
-    surface = _filled(lowest)
+    surface = filled(lowest)
     low = scipy.ndimage.percentile_filter(surface, RULES.low_percentile, 3)
     surface = np.maximum(surface, low - RULES.max_below_m)
     is_object = np.zeros(shape, bool)
@@ -131,7 +131,7 @@ def _lowest(cloud: Cloud) -> np.ndarray:
         after = scipy.ndimage.grey_opening(opened, (size, size)) if radius < 4 or radius % 3 == 0 else opened
         is_object |= opened - after > RULES.ground_slope * radius * RULES.cell_m
         opened = after
-    ground = _filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
+    ground = filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
     return cloud.z_m - ground[row, column] <= RULES.ground_tolerance_m
 
 
@@ -146,7 +146,7 @@ def ground_z_m(cloud: Cloud) -> np.ndarray:
     count = np.bincount(cell[is_ground], minlength=size)
     with np.errstate(invalid="ignore"):
         mean = np.bincount(cell[is_ground], cloud.z_m[is_ground], size) / count
-    return _filled(mean.reshape(shape))[row, column]
+    return filled(mean.reshape(shape))[row, column]
 
 
 def planar(xyz_m: np.ndarray) -> np.ndarray:

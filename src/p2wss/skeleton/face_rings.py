@@ -71,9 +71,7 @@ def _next_half(
 
 
 @inner
-def trace_faces(
-    edge: np.ndarray, num_edges: int, counts: np.ndarray, num_half: int, mesh_work: MeshWork
-) -> tuple[int, int]:
+def trace_faces(edge: np.ndarray, num_edges: int, counts: np.ndarray, mesh_work: MeshWork) -> tuple[int, int]:
     """Trace the half-edges into faces, each an outer ring and its holes. Returns (status, number of faces).
 
     Fills ``ring`` (corners of all rings), ``ring_start`` (where ring r starts), ``ring_order`` and
@@ -83,8 +81,7 @@ def trace_faces(
     uv, ring_point = mesh_work.ring
     ring_start, faces = mesh_work.ring_start, _Faces(edge, num_edges, counts, mesh_work.point)
     ring_order, ring_area, face = mesh_work.ring_order, mesh_work.ring_area, mesh_work.face
-    num_points = counts[NUM_NODES] + num_edges
-    for k in range(num_points):
+    for k in range(counts[NUM_NODES] + num_edges):
         out_head[k] = -1
     num_ring_points, num_rings, num_faces, num_ordered = 0, 0, 0, 0
     ring_start[0] = 0

@@ -31,8 +31,6 @@ def load_footprint(
 
     Returns (status, number of edges). Everything but the angle and the speeds is set.
     """
-    if last_ring <= first_ring:
-        return EMPTY, 0
     first, last = ring_offset[first_ring], ring_offset[last_ring]
     n = last - first
     if n < 3:
@@ -163,11 +161,9 @@ def check_rings(edge: np.ndarray, ring_offset: np.ndarray, first_ring: int, last
                 return NOT_SIMPLE
     for ring in range(first_ring + 1, last_ring):
         k = ring_offset[ring] - base
-        if not _inside_ring(edge, base - base, ring_offset[first_ring + 1] - base, edge[k].x, edge[k].y):
-            return COURTYARD_OUTSIDE
-        for other in range(first_ring + 1, last_ring):
-            if other != ring and _inside_ring(
-                edge, ring_offset[other] - base, ring_offset[other + 1] - base, edge[k].x, edge[k].y
-            ):
+        for other in range(first_ring, last_ring):
+            start, end = ring_offset[other] - base, ring_offset[other + 1] - base
+            is_inside = _inside_ring(edge, start, end, edge[k].x, edge[k].y)
+            if other != ring and is_inside != (other == first_ring):
                 return COURTYARD_OUTSIDE
     return OK

@@ -119,7 +119,7 @@ def finish_solid(
         k = num_nodes + i
         point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, walls.base_m
     drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
-    status, num_faces = trace_faces(edge, num_edges, counts, num_half, mesh_work)
+    status, num_faces = trace_faces(edge, num_edges, counts, mesh_work)
     if status != OK:
         return status, 0, 0
     num_triangles = _triangulate_faces(num_faces, mesh_work)

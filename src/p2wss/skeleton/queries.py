@@ -260,7 +260,8 @@ def _assign_all(
     point_offset: np.ndarray,
     status: np.ndarray,
 ) -> None:
-    """Assign the points of all polygons: those of polygon p are ``point_offset[p]:point_offset[p + 1]``."""
+    """Assign the points of all polygons: those of polygon p are ``point_offset[p]:point_offset[p + 1]``. Those of a
+    polygon without a skeleton stay as they are."""
     x, y, face, distance = points
     for p in range(len(batch.polygon_offset) - 1):
         first, last = point_offset[p], point_offset[p + 1]
@@ -274,10 +275,6 @@ def _assign_all(
                 num_edges, batch.max_roof_height_m[p], skeleton, query,
                 QueryPoints(x[first:last], y[first:last], face[first:last], distance[first:last]),
             )  # fmt: skip
-        if code != OK:
-            for k in range(first, last):
-                face[k] = OUTSIDE
-                distance[k] = 0.0
         status[p] = code
 
 

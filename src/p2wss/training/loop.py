@@ -50,7 +50,6 @@ class Task(Protocol):
     @property
     def module(self) -> nn.Module:
         """The network."""
-        ...
 
     def step(self, step: int) -> dict[str, Tensor]:
         """Losses of the batch of ``step``; the one named ``loss`` is minimised, the others are logged."""

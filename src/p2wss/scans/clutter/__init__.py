@@ -45,7 +45,7 @@ def add_clutter(
     }
     counts = {"eave_overhang": num_set_back}
     for kind, triangles_of_kind in triangles.items():
-        counts[kind.name.lower()] = triangles_of_kind.num_objects
+        counts[kind.name.lower()] = len(np.unique(triangles_of_kind.number))
         surface = _with_triangles(surface, kind, triangles_of_kind)
     return surface, counts
 

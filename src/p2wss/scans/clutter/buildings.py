@@ -98,11 +98,6 @@ class ClutterTriangles(NamedTuple):
     building: np.ndarray
     number: np.ndarray
 
-    @property
-    def num_objects(self) -> int:
-        """The number of objects that have triangles."""
-        return len(np.unique(self.number))
-
 
 def copies(corner_m: np.ndarray, triangles: list[tuple[int, int, int]], row: np.ndarray) -> ClutterTriangles:
     """Copies of one polyhedron: corner_m (k, v, 3), its triangles, and the building of each copy (k,)."""
