@@ -80,6 +80,6 @@ def test_no_file_is_unpickled() -> None:
         assert not imports_pickle or path.name == "spool.py", path
     spool = (ROOT / "src/p2wss/reconstruct/spool.py").read_text()
     assert re.findall(r"pickle\.load\w*\(.*", spool) == [
-        "pickle.loads(self._scratch.read(start, num_bytes))  # nosec B301"
+        "pickle.loads(self._scratch.read(*self._place[index]))  # nosec B301"
     ]
     assert "TemporaryFile(" in inspect.getsource(Scratch) and "Named" not in inspect.getsource(Scratch)
