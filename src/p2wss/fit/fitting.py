@@ -143,7 +143,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
         prepared.point_m,
         task.building.around_m,
     )
-    # what roofs around show counts, too: of a house whose only points are on its annex, they show the rest
+    # what roofs around show counts, too: of a house with a point on each roof, the row shows the rest
     if config.roofs == "parametric" or len(point_m) + len(around_m) < thresholds.min_plane_points:
         return None
     # open ground gets the lowest roof
