@@ -109,11 +109,7 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
-    neutral: ClassVar = {
-        "similar_lengths": True,
-        "dvae_start": True,
-        "start": "",
-    }
+    neutral: ClassVar = {"similar_lengths": True, "dvae_start": True, "start": ""}
     weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
     start: str = Field("", description="file with trained weights to start from; '' = from random weights")
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")

@@ -99,7 +99,7 @@ def _masked(cases: Sequence[Case], predictor: MaskedPredictor, config: Reconstru
     clouds_m = [building.point_m for building in buildings]
     footprints_m = [building.rings[0] for building in buildings]
     result = []
-    for method in MASKED if buildings else ():
+    for method in MASKED:
         readings = predictor.reconstruct_all_masked(clouds_m, footprints_m, method == MASKED[0])
         for building, height_m, xy_m, angle_deg in zip(buildings, *readings, strict=True):
             row = no_mesh(building, method, "ok")

@@ -137,12 +137,8 @@ def prepare(task: _Task) -> _Prepared | str:
 def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     """The solid below the planes that the points show; None where there are too few of them, or the parametric model is
     asked for."""
-    config, thresholds, point_m, around_m = (
-        task.config,
-        task.thresholds,
-        prepared.point_m,
-        task.building.around_m,
-    )
+    config, thresholds = task.config, task.thresholds
+    point_m, around_m = prepared.point_m, task.building.around_m
     # what roofs around show counts, too: of a house with a point on each roof, the row shows the rest
     if config.roofs == "parametric" or len(point_m) + len(around_m) < thresholds.min_plane_points:
         return None

@@ -177,9 +177,8 @@ def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     square = np.add.reduceat(row[:, :3, None] * row[:, None, :3], np.flatnonzero(np.diff(at, prepend=-1)))
     length, axes = np.linalg.eigh(square)
     is_long = length > _RANK**2 * length[:, 2:]
-    return axes * (is_long / np.where(is_long, length, 1))[:, None] @ axes.transpose(0, 2, 1), is_long.sum(
-        axis=1
-    )
+    inverse = axes * (is_long / np.where(is_long, length, 1))[:, None] @ axes.transpose(0, 2, 1)
+    return inverse, is_long.sum(axis=1)
 
 
 @entry

@@ -21,7 +21,7 @@ import numpy as np
 from llvmlite import binding
 from llvmlite.binding import ffi
 from numba import config, njit
-from numba.core import entrypoints, event
+from numba.core import event
 from numba.core.caching import (
     FunctionCache,
     InTreeCacheLocator,
@@ -35,8 +35,6 @@ from numba.np import linalg
 
 # before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
 linalg.ensure_blas = lambda: None
-# and it would read the entry points of all installed packages, for extensions of numba, which none of these has
-entrypoints._already_initialized = True
 # it also tells who listens of every call of LLVM, a hundred and more for each function that is loaded
 ffi.lib._lock._cblist.clear()
 
@@ -160,6 +158,9 @@ def _compiled(**options: Any) -> Callable[[Callable], Any]:
     def decorate(function: Callable) -> Any:
         result = njit(nogil=True, error_model="numpy", **options)(function)
         result._cache = _Cache(function)
+        # numba would read the entry points of all installed packages, for extensions, which functions of this package
+        # do not need; those of other programs do
+        result._compilation_chain_init_hook = lambda: None
         return result
 
     return decorate

@@ -64,6 +64,16 @@ def test_weights_that_are_read_are_those_that_were_saved(tmp_path: Path) -> None
     assert all(torch.equal(loaded.state_dict()[name], state[name]) for name in state)
 
 
+def test_weights_of_before_there_was_a_head_of_numbers_have_none(tmp_path: Path) -> None:
+    config = load({"dvae": SMALL_DVAE, "model": SMALL_MODEL | {"numerical_decoding": False}})
+    path = tmp_path / "m.safetensors"
+    save_model(Point2Wss(config.model, config.dvae), path, "x", "")
+    state, metadata = read_weights(path, "model")
+    del metadata["config"]["numerical_decoding"]
+    write_weights(path, state, metadata)
+    assert load_model(path).config == config.model
+
+
 @pytest.mark.parametrize("change", [{"vocabulary": ["[pad]"]}, {"config": {"width": 3}}])
 def test_weights_that_this_version_does_not_support_are_one_clear_line(
     tmp_path: Path, change: dict[str, object]

@@ -83,6 +83,18 @@ def test_cached_code_is_loaded_without_the_compiler(tmp_path):
     assert run(tmp_path, after=is_loaded.format(False), **more) == (2, "")
 
 
+def test_functions_of_other_programs_get_their_extensions_of_numba(tmp_path):
+    """Functions of this package, loaded, leave them to the first function that needs them."""
+    package(tmp_path)
+    more = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run(tmp_path, **more)[0] == 2
+    after = (
+        "from numba import njit; from numba.core import entrypoints; assert not entrypoints._already_initialized; "
+        "njit(lambda x: x)(1); assert entrypoints._already_initialized"
+    )
+    assert run(tmp_path, after=after, **more) == (2, "")
+
+
 def test_what_only_python_calls_is_no_part_of_compiled_code() -> None:
     @entry
     def one() -> int:

@@ -122,8 +122,8 @@ def fit_planes(
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
     """The labels (c,) after cells where four walls would share an upright edge have got planes of those beside them, as
     cheaply as possible."""
-    while True:
-        pair = cells.pair[at_pinch(cells, label, plane) & (cells.pair >= 0).all(axis=1)]
+    is_shared = (cells.pair >= 0).all(axis=1)
+    while len(pair := cells.pair[at_pinch(cells, label, plane) & is_shared]):
         moves = np.vstack([pair, pair[:, ::-1]])
         changed = [np.where(np.arange(len(label)) == cell, label[beside], label) for cell, beside in moves]
         best = min(
@@ -131,8 +131,9 @@ def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane:
             key=lambda each: costs.total_m3(each) + _PINCH_M3 * at_pinch(cells, each, plane).sum(),
         )
         if best is label:
-            return label
+            break
         label = best
+    return label
 
 
 def _without_open_ground(

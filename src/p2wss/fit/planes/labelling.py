@@ -93,7 +93,8 @@ def costs_of(
     if density < prices.few_per_m2:
         # many cells have no point: each place pays for the point nearest to it
         place_m, of_row, per_m2 = cells.places(density**-0.5 / _PLACES_PER_GAP)
-        row = np.flatnonzero(np.isin(label, label[row]))
+        # of points around, those on planes that the building's own show, too; all if it has none within moved walls
+        row = np.flatnonzero(np.isin(label, label[row] if len(row) else label))
         row = row[nearest(point_m[row, :2], place_m)[1][:, 0]]
         # roofs around show the lowest and the highest places, too
         seen_per_m2 = len(point_m) / float(cells.area_m2.sum())

@@ -407,6 +407,31 @@ def test_a_cell_without_any_of_few_points_costs_what_the_nearest_show(density: f
     assert costs.cell_m3[1 - cell[0]] == pytest.approx([0.0, 50 * off_m])
 
 
+@pytest.mark.parametrize("is_common", [False, True])
+def test_of_points_around_those_count_whose_plane_the_building_shows_too(is_common: bool) -> None:
+    """A row of houses goes on over the border; another house beside this one does not."""
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0)])
+    own_m, around_m = np.array([[1.0, 2.0, 3.0], [1.0, 8.0, 3.0 + is_common]]), np.array([[10.5, 5.0, 4.0]])
+    point_m, label = np.vstack([own_m, around_m]), np.array([0, int(is_common), 1])
+    prices = PLANES.prices._replace(beyond_share=0.0, support_m=9.0)
+    of_cell = cells.cells_at(point_m[:, :2])
+    costs = costs_of(
+        cells, np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 4.0]]), label, point_m, of_cell, 0.02, prices
+    )
+    of_near, of_far = costs.cell_m3[1 - of_cell[0]]
+    assert (of_near < of_far) is not is_common
+
+
+def test_few_points_that_are_all_outside_of_moved_walls_still_show_a_roof() -> None:
+    """As where walls have moved inwards past the points at an eave."""
+    own_m = np.array([[-0.3, 4.0, 6.0], [10.2, 4.0, 6.0], [5.0, 8.2, 6.0]])
+    around_m = np.column_stack([np.linspace(12, 20, 40), np.tile([1.0, 3, 5, 7], 10), np.full(40, 9.0)])
+    for around in (around_m, np.zeros((0, 3))):
+        fit = fit_planes([np.array([[0, 0], [10, 0], [10, 8], [0, 8.0]])], own_m, PLANES, 0, around)
+        assert fit is not None and fit.mesh.is_closed
+
+
 def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     cells, plane = arrange([square], []), np.array([[1.0, 0.0, 3.0]])
