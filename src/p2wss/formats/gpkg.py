@@ -17,6 +17,8 @@ import shapely
 from p2wss.storage import files
 from p2wss.storage.features import Features
 
+# SQLite would wait for the disk at each step, and be ready to undo it: a file is complete once, at the end of ``atomic``
+_OPTIONS = {"OGR_SQLITE_SYNCHRONOUS": "OFF", "OGR_SQLITE_JOURNAL": "OFF"}
 # as QGIS makes it
 _STYLES = """
 CREATE TABLE layer_styles (
@@ -43,6 +45,7 @@ def write(
     with files.atomic(path, seal=True) as temporary:
         # GDAL creates the file itself, and refuses an empty one
         temporary.unlink()
+        pyogrio.set_gdal_config_options(_OPTIONS)
         try:
             _add_layer(
                 temporary, layer, features, dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)}
@@ -53,6 +56,8 @@ def write(
                 _add_style(temporary, layer, style)
         except (RuntimeError, sqlite3.Error) as error:  # of a full disk, for instance, and no OSErrors
             raise OSError(str(error)) from error
+        finally:
+            pyogrio.set_gdal_config_options(dict.fromkeys(_OPTIONS))
 
 
 def _add_layer(path: Path, name: str, features: Features, **options: Any) -> None:
@@ -73,6 +78,7 @@ def _add_layer(path: Path, name: str, features: Features, **options: Any) -> Non
 def _add_style(path: Path, layer: str, style: str) -> None:
     """Store a style in the table in which QGIS looks for that of a layer."""
     with closing(sqlite3.connect(path)) as file, file:
+        file.execute("PRAGMA synchronous = OFF")
         file.execute(_STYLES)
         file.execute(
             "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
