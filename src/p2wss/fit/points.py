@@ -81,8 +81,8 @@ def shaft_points(
 
     Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
     """
-    inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
-    low_m = point_m[inside & ~np.isin(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
+    low_m = point_m[~np.isin(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
+    low_m = low_m[shapely.contains_xy(polygon, low_m[:, 0], low_m[:, 1])]
     if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
         return np.zeros((0, 3))
     _, beside = nearest(roof_m[:, :2], low_m[:, :2], _NUM_BESIDE)

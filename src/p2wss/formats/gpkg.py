@@ -17,7 +17,7 @@ import shapely
 from p2wss.storage import files
 from p2wss.storage.features import Features
 
-# SQLite would wait for the disk at each step, and be ready to undo it: a file is complete once, at the end of ``atomic``
+# SQLite would wait for the disk at each step, and be ready to undo it: ``atomic`` completes a file once
 _OPTIONS = {"OGR_SQLITE_SYNCHRONOUS": "OFF", "OGR_SQLITE_JOURNAL": "OFF"}
 # as QGIS makes it
 _STYLES = """

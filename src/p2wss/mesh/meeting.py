@@ -45,12 +45,11 @@ def with_meeting_planes(
     num = len(planes.kind)
     vertex, plane = np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num)
     row, scale = _equations(mesh, vertex, plane, free)
-    _, place = np.unique(place, return_inverse=True)
+    # any vertex of a place tells where its planes are, as they are linear
+    _, first, place = np.unique(place, return_index=True, return_inverse=True)
     further = np.array(list(more), int).reshape(-1, 2)
     pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
     at, plane = np.divmod(np.unique(pairs), num)
-    # any vertex of a place tells where its planes are, as they are linear
-    first = np.unique(place, return_index=True)[1]
     point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
     apart_m = _apart_m(row, point_m, at, plane)
     is_off = apart_m >= _EXACT_M

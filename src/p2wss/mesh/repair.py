@@ -26,9 +26,9 @@ def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarra
     result = []
     for surface in surfaces:
         rings = [_without_repeats(index[np.asarray(ring)]) for ring in surface.rings]
-        rings = [ring for ring in rings if len(ring) >= 3]
-        if rings:
-            result.append(replace(surface, rings=rings))
+        if rings := [ring for ring in rings if len(ring) >= 3]:
+            # ``replace`` takes three times as long
+            result.append(Surface(surface.kind, surface.label, rings, surface.face))
     return place, result
 
 

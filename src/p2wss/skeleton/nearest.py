@@ -8,9 +8,6 @@ import numpy as np
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import writable
 
-# of a cell of the plan, at least, and of the points that are asked for
-_POINTS_PER_CELL, _SHARE_PER_CELL = 1.0, 0.25
-
 
 def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(distances (m, count), numbers int (m, count)) of the points nearest to each place, the nearest first, and of
@@ -33,9 +30,12 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
         low_m[k] = point_m[:, k].min()
         local_m[:, k] = point_m[:, k] - low_m[k]
         extent_m[k] = local_m[:, k].max()
-    # the points by the cells of a grid in plan
-    share = max(_POINTS_PER_CELL, _SHARE_PER_CELL * count) / len(point_m)
-    cell_m = max((share * extent_m[0] * extent_m[1]) ** 0.5, share * max(extent_m[0], extent_m[1]), 1e-9)
+    # the points by the cells of a grid in plan, one in each on average: larger ones are slower for any count
+    cell_m = max(
+        (extent_m[0] * extent_m[1] / len(point_m)) ** 0.5,
+        max(extent_m[0], extent_m[1]) / len(point_m),
+        1e-9,
+    )
     num_columns, num_rows = int(extent_m[0] / cell_m) + 1, int(extent_m[1] / cell_m) + 1
     cell, begin = np.empty(len(point_m), np.int64), np.zeros(num_columns * num_rows + 1, np.int64)
     for t in range(len(point_m)):

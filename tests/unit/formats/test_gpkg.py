@@ -8,6 +8,7 @@ import time
 import xml.etree.ElementTree as ET
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import pyogrio
@@ -70,3 +71,18 @@ def test_a_style_has_the_same_bytes_whenever_it_is_written(features: Features, t
         gpkg.write(tmp_path / name, features, {}, style=qgis.STYLE)
         time.sleep(0.01)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
+
+
+def test_sqlite_does_not_wait_for_the_disk_while_a_file_is_written(
+    features: Features, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, add_layer, seen = "OGR_SQLITE_SYNCHRONOUS", gpkg._add_layer, []
+
+    def add(*arguments: Any, **options: Any) -> None:
+        seen.append(pyogrio.get_gdal_config_option(name))
+        add_layer(*arguments, **options)
+
+    monkeypatch.setattr(gpkg, "_add_layer", add)
+    gpkg.write(tmp_path / "a.gpkg", features, {})
+    # a program that writes files of its own may want them to be safe at each step
+    assert seen == [False] and pyogrio.get_gdal_config_option(name) is None
