@@ -5,7 +5,8 @@
 Draws the town (``p2wss towns --kind old --lidar``), reconstructs it by ``p2wss.reconstruct`` without the network, and
 compares heights on a raster with those of the true roofs. Nothing was chosen on the seed that is the default.
 
-* A *false slab* is at least a metre long, less than a metre wide, along a neighbour, and a metre above the true roof.
+* A *false slab* is a part of a roof less than a metre wide, along a neighbour, and a metre above the true roof over at
+  least a metre. A wider one that is so only along its end is *too long*.
 * A roof *above its support* is, over at least a square metre, half a metre above the true roof and all points within a
   metre.
 * A shaft is found where most of it, less half a metre at its sides, is lower than halfway down. A *false shaft* is a
@@ -41,6 +42,7 @@ from p2wss.towns.old import TROUBLES
 
 SEED = 101
 CELL_M = 0.25
+_ON_PLANE_M = 0.1
 DRAWN_CAUSES = list(TROUBLES)[:6]
 
 
@@ -53,6 +55,14 @@ def _disc(radius_m: float) -> np.ndarray:
 def _areas(mask: np.ndarray) -> list[np.ndarray]:
     label, count = ndimage.label(mask)
     return [label == number for number in range(1, count + 1)]
+
+
+def _part(area: np.ndarray, height_m: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
+    """The cells around an area whose heights, as those of cells at places (n, 2), are on the plane of the area."""
+    place = np.column_stack([xy_m - xy_m[area.ravel()].mean(axis=0), np.ones(len(xy_m))])
+    plane = np.linalg.lstsq(place[area.ravel()], height_m[area])[0]
+    is_on_plane = np.abs(height_m - (place @ plane).reshape(area.shape)) < _ON_PLANE_M
+    return ndimage.binary_propagation(area, mask=area | is_on_plane)
 
 
 def _is_wide(mask: np.ndarray) -> bool:
@@ -83,7 +93,7 @@ def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.
     true_z = true[is_true]
     lowest_z = np.quantile(true_z[true_z > true_z.min() + 0.3] if row["kind"] == "shaft" else true_z, 0.1)
     row["ground above roof"] = building.attributes["ground_z_m"] > lowest_z - 0.5
-    row["shafts"] = row["found"] = row["false shafts"] = row["slabs"] = row["above"] = 0
+    row["shafts"] = row["found"] = row["false shafts"] = row["slabs"] = row["too long"] = row["above"] = 0
     # without the cells at walls that the map has elsewhere
     inner = raster.inside & ndimage.binary_erosion(is_true, _disc(0.5))
     shaft = np.zeros(raster.shape, bool)
@@ -103,7 +113,8 @@ def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.
     at_border = shapely.dwithin(beside, shapely.points(raster.xy_m), 0.6).reshape(raster.shape)
     for area in _areas(raster.inside & (found > highest + 1.0)):
         length_m = np.hypot(*np.ptp(raster.xy_m[area.ravel()], axis=0))
-        row["slabs"] += bool(length_m >= 1 and not _is_wide(area) and (area & at_border).any())
+        if length_m >= 1 and not _is_wide(area) and (area & at_border).any():
+            row["too long" if _is_wide(_part(area, found, raster.xy_m)) else "slabs"] += 1
     if shaft.sum() * CELL_M**2 >= 4.0:
         around = float(np.median(true[is_true & ~shaft]))
         well = ndimage.binary_erosion(shaft, _disc(0.5))
@@ -149,7 +160,7 @@ def main() -> int:
         folder = arguments.save or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         rows = measured(arguments.seed, folder)
     figures = Figures()
-    titles = ("slabs", "above", "ground above roof", "shafts", "found", "false shafts")
+    titles = ("slabs", "too long", "above", "ground above roof", "shafts", "found", "false shafts")
     groups = {"all": rows} | {kind: [row for row in rows if row["kind"] == kind] for kind in TROUBLES}
     print(
         "".ljust(16)
@@ -175,7 +186,7 @@ def main() -> int:
     for kind, causes in stated.items():
         print(f"{kind}: {dict(causes)}")
     whole = {title: sum(row[title] for row in rows) for title in titles}
-    for title in ("slabs", "above", "ground above roof", "false shafts"):
+    for title in ("slabs", "too long", "above", "ground above roof", "false shafts"):
         print(f"{title}:", " ".join(row["id"][-6:] for row in rows if row[title])[:120])
     print("not found:", " ".join(row["id"][-6:] for row in rows if row["shafts"] > row["found"])[:120])
     seen = [row for row in rows if row["visible_share"] is not None and row["visible_share"] >= 0.6]

@@ -41,7 +41,8 @@ class Rules:
     of the neighbour and the points of the building nearest to it; beyond the border, points may be so much lower. Of
     both, ``num_near`` are looked at. reach_m: points beyond the border show nothing further away. most_per_m2: points
     of which planes are grown. deep_share: where the density of a plane's points further within is a larger share of
-    that in the strip, the plane is the building's.
+    that in the strip, the plane is the building's. beyond_share: a plane goes on beyond the border where it has more
+    points there than this share of those in the strip.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -52,6 +53,7 @@ class Rules:
     reach_m: float = 1.5
     most_per_m2: float = 6.0
     deep_share: float = 0.1
+    beyond_share: float = 0.5
 
 
 RULES = Rules()
@@ -110,10 +112,10 @@ def _theirs(
     own = is_solid & inside & ~deep_within
     is_near = own & ~within & beside_core
     is_deep = own & ~is_near
-    if not is_near.any() or not is_deep.any():
-        return result
     surface = np.column_stack([point_m, np.full((len(point_m), 2), np.nan)])
-    if (np.abs(_rise_m(surface[is_near], surface[is_deep])) < RULES.step_m).all():
+    if not is_near.any():
+        return result
+    if is_deep.any() and (np.abs(_rise_m(surface[is_near], surface[is_deep])) < RULES.step_m).all():
         return result
     band = np.flatnonzero(own | (is_high & ~inside))
     ring_m2 = polygon.buffer(strip_m).area - inner.area
@@ -123,9 +125,15 @@ def _theirs(
     plane, label = np.vstack([found.plane, np.full(3, np.nan)]), np.full(len(point_m), len(found.plane))
     label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]] % len(plane)
     surface[:, 3:] = plane[label, :2]
-    num_near, num_deep = (np.bincount(label[mask], minlength=len(plane)) for mask in (is_near, is_deep))
+    num_near, num_deep, num_beyond = (
+        np.bincount(label[mask], minlength=len(plane)) for mask in (is_near, is_deep, is_high & ~inside)
+    )
     has_plane = label < len(found.plane)
-    is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
+    if is_deep.any():
+        is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
+    else:
+        # under plants: planes that have most of their points here, and what is on none
+        is_own, is_deep = num_near > num_beyond, own & (classification == BUILDING_CLASS)
     shows = np.where(has_plane, own & is_own[label], is_deep)
     if not shows.any():
         return result
@@ -135,12 +143,11 @@ def _theirs(
     far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_near, len(beyond_m)))
     higher_m = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf) - near_z[:, None]
     most_m = higher_m.max(axis=1)
+    goes_on = has_plane & (num_beyond > RULES.beyond_share * num_near)[label]
     # without points beyond, nothing shows that the building ends here
-    result[is_near] &= np.where(
-        rise_m > 0,
-        (rise_m > RULES.step_m) & ((most_m > -RULES.step_m) | np.isinf(most_m)),
-        (rise_m < -RULES.step_m) & (np.abs(higher_m) < RULES.step_m).any(axis=1),
-    )
+    as_high = (most_m > -RULES.step_m) | np.isinf(most_m) | goes_on[is_near]
+    as_low = (np.abs(higher_m) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
+    result[is_near] &= np.where(rise_m > 0, as_high, as_low) & (np.abs(rise_m) > RULES.step_m)
     return result
 
 

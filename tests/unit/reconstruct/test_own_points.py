@@ -185,6 +185,31 @@ def test_the_neighbours_roof_beside_one_that_the_classifier_has_missed() -> None
         assert (theirs(point_m, classes) == (is_high & (point_m[:, 0] < 8))).all()
 
 
+def test_the_neighbours_roof_beside_one_that_is_hidden_by_plants() -> None:
+    """Four points of the house are seen, none further within; the neighbour reaches half a metre over it."""
+    point_m = surface({(7.5, 9): 15.0})
+    point_m = point_m[np.isfinite(point_m[:, 2])]
+    own_m = np.array([[0.3, 3, 3.0], [0.5, 7, 3.0], [7.2, 4, 3.0], [7.3, 6, 3.0]])
+    found = theirs(np.vstack([own_m, point_m]))
+    assert (found[4:] == (point_m[:, 0] < 8)).all() and not found[:4].any()
+
+
+def test_a_point_of_the_neighbours_roof_is_the_neighbours_whatever_is_beside_it() -> None:
+    """At a corner, returns from a wall to the street are nearer to it than that roof beyond the border."""
+    point_m = surface({(-1, 7.7): 3.0, (7.7, 9): 15.0})
+    beside = (point_m[:, 0] > 8) & (point_m[:, 1] < 1.5)
+    street_m = point_m[beside] * [1, 1, 0] + [0, 0, 4.0]
+    found = theirs(np.vstack([point_m[~beside], street_m]))
+    kept_m = point_m[~beside]
+    assert (found[: len(kept_m)] == ((kept_m[:, 0] > 7.7) & (kept_m[:, 0] < 8))).all()
+
+
+def test_the_end_of_a_low_level_beyond_the_border_is_no_neighbour() -> None:
+    """A level of 4 m, 80 cm wide, reaches 30 cm over the border, beyond which is the ground."""
+    point_m = surface({(-1, 7.2): 9.0, (7.2, 8.3): 4.0, (8.3, 9): 0.1})
+    assert not theirs(point_m).any()
+
+
 def test_class_ground_at_roof_height_is_roof_and_a_hillside_is_not() -> None:
     point_m = surface({(-1, 0): 0.0, (0, 8): 4.0, (8, 9): 0.0})
     classes = np.full(len(point_m), GROUND_CLASS, np.uint8)

@@ -95,14 +95,20 @@ def fit_planes(
     if not len(found.plane):
         return None
     plane = regular(found, point_m, along, settings.detection)
-    top = point_m[:, 2].argmax()
-    slope = plane[found.label[top], :2]
-    if density < settings.prices.few_per_m2 and slope.any() and (found.label == found.label[top]).sum() > 1:
-        # no slope need rise further than the highest point, where a ridge or a level roof may begin
-        found.label[top], plane = len(plane), np.vstack([plane, [0.0, 0.0, point_m[top, 2]]])
-    # what is hidden is at a corner, as shadows come from beyond the footprint
-    hidden_m = float(nearest(point_m[:, :2], np.concatenate(rings))[0].max())
+    corner_m = np.concatenate(rings)
     drawing = settings.drawing.for_density(density)
+    top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
+    slope = plane[found.label[top], :2]
+    is_sparse = density < settings.prices.few_per_m2
+    is_hidden = (corner_m @ slope).max() > (point_m[:, :2] @ slope).max() + drawing.reach_m * np.hypot(*slope)
+    if (slope.any() if is_sparse else is_hidden) and (found.label == found.label[top]).sum() > 1:
+        # no slope need rise further than the highest point, where few points may hide a ridge or the border of a level
+        # roof; where nothing is seen behind it, the other side of a ridge may be as steep
+        turned = (0.0 if is_sparse else -1.0) * slope
+        highest = np.append(turned, point_m[top, 2] - turned @ point_m[top, :2])
+        found.label[top], plane = len(plane), np.vstack([plane, highest])
+    # what is hidden is at a corner, as shadows come from beyond the footprint
+    hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
     cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
     cell = cells.cells_at(point_m[:, :2])

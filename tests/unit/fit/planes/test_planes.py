@@ -95,6 +95,21 @@ def test_planes_are_found_where_the_surface_around_a_point_shows_nothing() -> No
     assert num_found.count(2) >= 17
 
 
+@pytest.mark.parametrize(("hidden_m", "height_m"), [(4.0, 4.0), (1.0, 4.0 + 8 * SLOPE)])
+def test_a_side_of_a_gable_that_is_hidden_falls_as_steeply_as_the_other(
+    hidden_m: float, height_m: float
+) -> None:
+    """The roof rises over 8 m of which the last ones are hidden: half of it, or nearly nothing of a shed."""
+    rings, plane = gable(10, 8, 4, 0.0)
+    point_m = sampled(rings, plane[:1], 3)
+    point_m = point_m[point_m[:, 1] < 4 - hidden_m]
+    fit = fit_planes(rings, point_m, PLANES)
+    assert fit is not None
+    at_wall = fit.mesh.vertex_m[np.isclose(fit.mesh.vertex_m[:, 1], 4)]
+    assert at_wall[:, 2].max() == pytest.approx(height_m, abs=0.2)
+    assert fit.num_bodies == 1 and is_closed(fit.mesh.vertex_m, fit.mesh.triangle)
+
+
 def test_no_roof_falls_below_the_ground() -> None:
     """Of a steep roof only the upper third is seen: further down its plane is below the ground."""
     rings = [np.array([[0, 0], [12, 0], [12, 8], [0, 8.0]])]
