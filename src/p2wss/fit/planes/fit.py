@@ -95,7 +95,7 @@ def fit_planes(
     if not len(found.plane):
         return None
     plane = regular(found, point_m, along, settings.detection)
-    top = point_m[:, 2].argmax()
+    top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
     slope = plane[found.label[top], :2]
     if density < settings.prices.few_per_m2 and slope.any() and (found.label == found.label[top]).sum() > 1:
         # no slope need rise further than the highest point, where a ridge or a level roof may begin
