@@ -1,6 +1,7 @@
 """Whether the edges of reconstructed roofs are the true ones, on drawn houses of several bodies; the last line is JSON.
 
     python benchmarks/structure.py [--seed 1 --seed 2]
+    python benchmarks/structure.py --few        # of houses with 80, 40, 20 and 10 points on each
 
 Draws the towns of the seeds (``p2wss towns --kind wings --lidar``), reconstructs them by ``p2wss.reconstruct`` without
 the network, and compares the edges with the true ones, by shape of the house and by kind of edge. The definitions are
@@ -17,18 +18,41 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import few_points
 import numpy as np
+import real
 from figures import Figures
 from roof_edges import EDGE_KINDS, Structure, structure
 
 import p2wss
 from p2wss.cli import main as command
 from p2wss.cli.towns import ROOFS
+from p2wss.config import Config
 from p2wss.mesh import Mesh
+from p2wss.reconstruct.product import reconstruct_buildings
 from p2wss.towns import FOOTPRINTS, LIDAR
 from p2wss.towns.wings import SHAPES
 
 SEEDS = (101, 102)
+# points on each house
+FEW = (80, 40, 20, 10)
+
+
+def of_few_points(seed: int, folder: Path) -> dict[int, list[dict[str, Any]]]:
+    """By the number of points on each house, a row per building of a town: its structure and triangles."""
+    command(["towns", "--kind", "wings", "--lidar", "--seed", str(seed), "--out", str(folder)])
+    truth, config = p2wss.read(folder / ROOFS), Config()
+    buildings = real.read_files(folder / FOOTPRINTS, [folder / LIDAR], "town", config)
+    rows: dict[int, list[dict[str, Any]]] = {}
+    for num_points in FEW:
+        few = few_points.with_roofs_around([few_points.thinned(each, num_points, 0) for each in buildings])
+        for building, found in zip(few, reconstruct_buildings(few, None, config.reconstruct), strict=True):
+            true = truth[building.building_id].solid
+            assert true is not None and found.mesh is not None
+            each = structure(found.mesh, true.translated(-building.position_m))
+            row = {"structure": each, "triangles": len(found.mesh.triangle), "roof_cd_m": np.inf}
+            rows.setdefault(num_points, []).append(row)
+    return rows
 
 
 def measured(seed: int, folder: Path) -> list[dict[str, Any]]:
@@ -71,10 +95,29 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     }
 
 
+def with_few_points(seeds: Sequence[int]) -> int:
+    """Print false and missing edges, exact roofs and triangles of houses with few points."""
+    figures, towns = Figures(), []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder:
+            towns.append(of_few_points(seed, Path(folder)))
+    for num_points in FEW:
+        values = summary([row for town in towns for row in town[num_points]])
+        values = {name: values[name] for name in ("false edges", "missing edges", "exact roofs", "triangles")}
+        print(
+            f"{num_points:<4} points: " + ", ".join(f"{name} {value:.3f}" for name, value in values.items())
+        )
+        figures.row(f"{num_points} points", values)
+    return figures.end()
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, action="append", help="of a town; default: 101 and 102")
+    parser.add_argument("--few", action="store_true", help="houses with few points")
     arguments = parser.parse_args()
+    if arguments.few:
+        return with_few_points(arguments.seed or SEEDS)
     rows = []
     for seed in arguments.seed or SEEDS:
         with tempfile.TemporaryDirectory() as folder:

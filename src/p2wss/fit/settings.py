@@ -141,10 +141,17 @@ class Drawing(NamedTuple):
     near_m: float = 1.5
     # metres: lines extend beyond the border that they are found by
     reach_m: float = 2.0
-    # multiples of the distance between points: at least so long are the two above
-    num_gaps: float = 3.0
+    # metres: a border further from the line on which two planes meet is not on it
+    off_m: float = 0.6
     # metres: a step so near to an edge of the footprint, or to another step, is on it
     snap_m: float = 0.35
+    # multiples of the distance between points: at least so long are the first two above, the third and the fourth, as
+    # points tell no two lines apart that are nearer; swept on thinned clouds
+    num_gaps: float = 3.0
+    off_gaps: float = 0.75
+    snap_gaps: float = 0.25
+    # whether lines on which planes meet are on others near to them, too, as where points are sparse
+    snaps_meets: bool = False
     # degrees: directions that differ less are the same
     same_deg: float = 4.0
     # a step leaves less than this share of the points of the border on the wrong side
@@ -154,8 +161,14 @@ class Drawing(NamedTuple):
 
     def for_density(self, per_m2: float) -> Drawing:
         """The settings where sparse points show the borders of planes from further away."""
-        least_m = self.num_gaps * per_m2**-0.5
-        return self._replace(near_m=max(self.near_m, least_m), reach_m=max(self.reach_m, least_m))
+        gap_m = per_m2**-0.5
+        return self._replace(
+            near_m=max(self.near_m, self.num_gaps * gap_m),
+            reach_m=max(self.reach_m, self.num_gaps * gap_m),
+            off_m=max(self.off_m, self.off_gaps * gap_m),
+            snap_m=max(self.snap_m, self.snap_gaps * gap_m),
+            snaps_meets=per_m2 < Detection().sparse_per_m2,
+        )
 
 
 class PlanePrices(NamedTuple):
@@ -165,6 +178,10 @@ class PlanePrices(NamedTuple):
     face_m3: float = 0.06
     # for each metre of an edge: a step above the limit below; swept
     edge_m2: float = 0.15
+    # for each metre of an edge and each metre by which the distance between points exceeds the second figure; swept on
+    # thinned clouds
+    sparse_edge_m: float = 0.05
+    dense_gap_m: float = 0.5
     # for each line that has steps; those with less than the next figure of them are dispensed with where that pays:
     # along pieces of many lines, a border would be jagged; swept
     line_m3: float = 0.15
@@ -195,10 +212,12 @@ class PlanePrices(NamedTuple):
 
     def for_density(self, per_m2: float) -> PlanePrices:
         """The prices where so many points are on a square metre."""
+        gap_m = per_m2**-0.5
         return self._replace(
+            edge_m2=self.edge_m2 + self.sparse_edge_m * max(gap_m - self.dense_gap_m, 0.0),
             face_m3=self.face_m3 + self.face_m / per_m2,
             line_m3=self.line_m3 + self.line_m / per_m2,
-            cap_m=max(self.cap_m, self.cap_gaps * per_m2**-0.5),
+            cap_m=max(self.cap_m, self.cap_gaps * gap_m),
         )
 
 
@@ -212,7 +231,7 @@ class Planes(NamedTuple):
     def times(self, factor: float) -> Planes:
         """The thresholds with all prices multiplied."""
         prices = self.prices
-        names = ("face_m3", "edge_m2", "line_m3", "face_m", "line_m")
+        names = ("face_m3", "edge_m2", "sparse_edge_m", "line_m3", "face_m", "line_m")
         return self._replace(
             prices=prices._replace(**{name: factor * getattr(prices, name) for name in names})
         )

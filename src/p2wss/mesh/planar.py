@@ -31,7 +31,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     without those edges shorter than ``short_m`` that can go, the shortest first.
 
     An edge goes if the planes at both its ends, or those that are left without it, can meet in one point, and the mesh
-    stays a manifold. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are divided
+    stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are divided
     anew.
     """
     straight = _with_straight_walls(mesh)
@@ -58,8 +58,10 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
                 # the other end of a step that went, or a vertex that a wall now passes through
                 result = with_exact_faces(_flipped(result), _NO_HEIGHT_M, walls_stay)
                 result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
-            if result is not None:
+            if result is not None and (result.is_closed or not mesh.is_closed):
                 break
+            # none, or a vertex has come to where another one is, and four walls share an upright edge
+            result = None
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
     return _with_wide_triangles(mesh) if is_narrow.any() else mesh
 

@@ -107,6 +107,20 @@ def test_a_low_step_between_level_roofs_goes_and_they_stay_level(step_m: float, 
     assert np.abs(wall[:, 2]).max() == 0.0
 
 
+@pytest.mark.parametrize("step_m", [-0.15, 0.1, 0.15])
+def test_high_roofs_in_opposite_corners_stay_apart(step_m: float) -> None:
+    """Quarters of a square, high and low in turn: without the short edge in the middle, four walls would share an
+    upright edge."""
+    square = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
+    across, up = np.array([0.0, 1.0]), np.array([1.0, 0.0])
+    cells = arrange([square], [Line(across, 0.0), Line(up, 0.0, 0, 9), Line(up, step_m, -9, 0)])
+    x, y = cells.middle_m.T
+    plane = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 6.0]])
+    mesh = solid_below(cells, np.where(y < 0, x < step_m, x > 0).astype(int), plane, square)
+    assert mesh is not None and mesh.is_closed
+    assert with_exact_faces(mesh, 0.2).is_closed
+
+
 def test_a_notch_of_the_footprint_stays() -> None:
     """An edge of 3 cm between two walls: moving an end would turn a wall."""
     ring = np.array([[0, 0], [12, 0], [12, 4], [12.03, 4], [12.03, 8], [0, 8]])

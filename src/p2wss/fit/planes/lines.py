@@ -15,8 +15,8 @@ from p2wss.fit.settings import Drawing
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05
-# metres: a border this far from the line on which two planes meet is not on it; a larger step is one
-_OFF_LINE_M, _STEP_M = 0.6, 0.25
+# metres: a larger step between two planes is one
+_STEP_M = 0.25
 _MIN_BORDER = 3
 
 
@@ -77,12 +77,12 @@ def lines_of(
         if fold > _PARALLEL:
             meet = Line(slope[:2] / fold, -slope[2] / fold)
             off_m = np.abs(border @ meet.normal - meet.offset_m)
-            near = off_m < _OFF_LINE_M
+            near = off_m < settings.off_m
             if near.sum() >= _MIN_BORDER:
                 meets.append(meet.along(border[near], settings.reach_m))
             if median(gap_m) < _STEP_M and near.mean() > 0.7:
                 continue
-            sides = [side[np.abs(side @ meet.normal - meet.offset_m) > _OFF_LINE_M] for side in sides]
+            sides = [side[np.abs(side @ meet.normal - meet.offset_m) > settings.off_m] for side in sides]
         if min(map(len, sides)) >= _MIN_BORDER:
             tried = list(along[: settings.num_directions])
             for number in (i, j):
@@ -93,9 +93,10 @@ def lines_of(
             steps += _steps(sides, tried, settings)
     for number, angle in enumerate(np.where(is_sloped, own, along[0]).tolist()):
         steps += _extent(point_m[label == number, :2], angle, settings)
+    fixed, loose = ([], [*meets, *steps]) if settings.snaps_meets else (meets, steps)
     return (
-        meets
-        + _snapped(steps, [edge for edge, _ in edges], settings)
+        fixed
+        + _snapped(loose, [edge for edge, _ in edges], settings)
         + [edge for edge, is_reflex in edges if is_reflex]
     )
 

@@ -16,7 +16,7 @@ from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
-from p2wss.fit.planes.lines import Line
+from p2wss.fit.planes.lines import Line, lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import at_pinch, solid_below
 from p2wss.fit.settings import Planes
@@ -388,13 +388,61 @@ def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
     xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
     rings = [np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 12.0], [0.0, 12.0]])]
     num_planes = []
-    for up_m in (0.3, 1.0):
+    for up_m in (0.3, 1.5):
         z_m = np.full(len(xy_m), 4.0)
         z_m[:2] += up_m
         fit = fit_planes(rings, np.column_stack([xy_m, z_m]), PLANES)
         assert fit is not None
         num_planes.append(len(np.unique(fit.label)))
     assert num_planes == [1, 2]
+
+
+@pytest.mark.parametrize(("per_m2", "is_dense"), [(12.0, True), (4.0, True), (1.0, False), (0.1, False)])
+def test_lines_and_prices_change_only_where_points_are_far_apart(per_m2: float, is_dense: bool) -> None:
+    drawing, prices = PLANES.drawing.for_density(per_m2), PLANES.prices.for_density(per_m2)
+    assert (drawing == PLANES.drawing) is is_dense
+    assert (prices.edge_m2 == PLANES.prices.edge_m2) is is_dense
+
+
+def test_planes_meet_on_a_line_that_is_far_from_all_of_few_points() -> None:
+    rings, plane = gable(12, 8, 4, 0.0)
+    xy_m = np.array([[x, y] for x in (-5.0, -2.0, 1.0, 4.0) for y in (-3.5, -1.5, 1.0, 3.0)])
+    point_m = np.column_stack([xy_m, heights(plane, xy_m).min(axis=1)])
+    label = (xy_m[:, 1] > 0).astype(int)
+    found = {
+        density: lines_of(rings, plane, label, point_m, [0.0], PLANES.drawing.for_density(density))
+        for density in (4.0, len(xy_m) / 96)
+    }
+    num_ridges = {
+        density: sum(abs(line.offset_m) < 1e-9 and abs(line.normal[1]) == 1 for line in lines)
+        for density, lines in found.items()
+    }
+    assert [*num_ridges.values()] == [0, 1]
+
+
+def test_lines_that_few_points_cannot_tell_apart_are_one() -> None:
+    """A level roof that ends at a step, and the same a little further along."""
+    rings, _ = gable(20, 20, 4, 0.0)
+    xy_m = np.array([[x, y] for x in np.arange(-9.0, 10, 3) for y in np.arange(-9.0, 10, 3)])
+    label = np.where(xy_m[:, 0] > np.where(xy_m[:, 1] > 0, 1.0, 1.7), 1, 0)
+    label[label == 1] += xy_m[label == 1, 1] > 0
+    plane = np.array([[0.0, 0.0, 4.0], [0.0, 0.0, 8.0], [0.0, 0.0, 6.0]])
+    xy_m[:, 0] += np.where(xy_m[:, 1] > 0, 0.0, 0.6)
+    point_m = np.column_stack([xy_m, plane[label, 2]])
+    drawing = PLANES.drawing.for_density(len(xy_m) / 400)
+    num_lines = [
+        len(lines_of(rings, plane, label, point_m, [0.0], each))
+        for each in (drawing._replace(snap_m=PLANES.drawing.snap_m), drawing)
+    ]
+    assert num_lines[1] < num_lines[0]
+
+
+def test_the_highest_of_many_points_may_be_of_no_plane() -> None:
+    rings, plane = gable(40, 30, 4, 0.0)
+    point_m = np.vstack([sampled(rings, plane, 1, 0.3), [-9.0, 5.0, 30.0], [5.0, 5.0, 40.0]])
+    assert len(point_m) > PLANES.detection.num_few_points
+    fit = fit_planes(rings, point_m, PLANES)
+    assert fit is not None and (heights(fit.plane, point_m[-1:, :2]) < 30).all()
 
 
 def test_two_points_show_no_slope_and_the_highest_of_a_slope_a_level_roof() -> None:
