@@ -27,6 +27,7 @@ class Oracle:
         self.max_num_vertices = max_num_vertices
         self.rings: list[Sequence[np.ndarray]] = []
         self.num_views = 4
+        self.on_building = False
 
     def with_num_views(self, num_views: int) -> Oracle:
         self.num_views = num_views

@@ -23,7 +23,7 @@ class TruthNetwork:
     """Looks up the case with the same points; ``wrong_m`` and ``wrong_deg`` are added to its values. With ``slope_deg``
     every edge has that angle and all classes are equally probable."""
 
-    max_num_vertices = 8
+    max_num_vertices, on_building = 8, False
 
     def with_num_views(self, num_views: int) -> TruthNetwork:
         return self

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from p2wss.cli.common import bounds_of_tile, config_option, log, log_status_counts, place_option, tile_option
-from p2wss.cli.parser import Group, file_option
-from p2wss.config import TILE_LISTS, Config, section_json
+from p2wss.cli.parser import Group, file_option, option
+from p2wss.config import TILE_LISTS, Config, Reconstruct, section_json
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.provenance import fingerprint
@@ -86,6 +86,29 @@ def _write_crops(
         config=settings, code=fingerprint("crops"), tile=tile, crs=crs, num_excluded=dict(counts)
     )
     files.write_table(out, columns, CROPS, metadata)
+
+
+@crops.command("labels")
+@file_option("--crops", "shard written by p2wss crops real")
+@option("--split", type=click.Choice(["train", "val", "test"]), required=True, help="of its buildings")
+@file_option("--out", "Parquet to write: the shard with labels, for --simulated of p2wss crops manifest")
+def crops_labels(crops: Path, split: str, out: Path) -> None:
+    """Label crops that have no labels by the parametric roofs that are fitted to their points, to train on them."""
+    from p2wss.eval.cases import from_crops
+    from p2wss.reconstruct.product import reconstruct_buildings
+    from p2wss.storage.schemas.crops import CROPS, REAL
+
+    table = files.read_table(crops, CROPS)
+    # a label has an angle for each edge of the footprint as it is
+    config = Reconstruct(roofs="parametric", max_wall_shift_m=0)
+    roofs = reconstruct_buildings([case.building for case in from_crops(table, REAL)], None, config)
+    columns = {name: table[name].combine_chunks() for name in table.column_names} | {
+        "split": [split] * len(table),
+        "eave_height_m": [roof.eave_height_m for roof in roofs],
+        "label_terrain_z_m": table["ground_z_m"].combine_chunks(),
+        "angle_deg": [roof.angle_deg for roof in roofs],
+    }
+    files.write_table(out, columns, CROPS, files.read_metadata(crops) | {"code": fingerprint("crops", "fit")})
 
 
 @crops.command("manifest")

@@ -43,6 +43,7 @@ class Masking(Section):
 class Augmentation(Section):
     """Random changes of each training sample, in addition to the paper's rotation."""
 
+    neutral: ClassVar = {"on_building_share": 0.0}
     mirror: bool = Field(True, description="mirror half of the samples")
     scale: tuple[float, float] = Field(
         (0.8, 1.25), description="range of the scale applied to the whole building; [1, 1] = off"
@@ -53,6 +54,10 @@ class Augmentation(Section):
     jitter_m: float = Field(0.02, ge=0, description="standard deviation of the noise added to the points")
     keep_points: tuple[Share, Share] = Field(
         (0.4, 1.0), description="range of the share of points that are kept; [1, 1] = off"
+    )
+    on_building_share: Share = Field(
+        0.0,
+        description="share of samples that keep only the points on the building; above 0, so does inference",
     )
     occlusion_share: Share = Field(
         0.1, description="share of samples from which the points of a wedge are removed, as in a scan shadow"

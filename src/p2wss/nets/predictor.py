@@ -58,6 +58,7 @@ class Point2WssPredictor:
         self.num_views = num_views or self.settings.num_rotations
         self.dvae_config = module.dvae_config
         self.max_num_vertices = module.config.max_vertices
+        self.on_building = module.config.augmentation.on_building_share > 0
         self._rows_per_pass = 1 if self.device.type == "cpu" else GPU_ROWS
 
     def with_num_views(self, num_views: int) -> Point2WssPredictor:

@@ -12,6 +12,7 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.mesh.parametric import build_meshes, kernel_angles, simplify_exterior, transfer_angles
+from p2wss.fit.roof.fitter import MIN_NUM_POINTS
 from p2wss.nets.prediction import Prediction
 
 
@@ -21,6 +22,10 @@ class Predictor(Protocol):
     @property
     def max_num_vertices(self) -> int:
         """Largest number of vertices of an exterior ring."""
+
+    @property
+    def on_building(self) -> bool:
+        """Whether it was trained on clouds of the points on a building alone, too, and should get those."""
 
     def with_num_views(self, num_views: int) -> Predictor:
         """The same network with predictions averaged over ``num_views`` views of a building."""
@@ -52,7 +57,10 @@ def reconstruct_with_network(
             status[i] = reasons.TOO_FEW_POINTS
     if with_points:
         prediction = predictor.predict(
-            [buildings[i].point_m for i in with_points],
+            [
+                _on_building_m(buildings[i]) if predictor.on_building else buildings[i].point_m
+                for i in with_points
+            ],
             [network_rings[i] for i in with_points],
         )
         for k, i in enumerate(with_points):
@@ -70,3 +78,10 @@ def reconstruct_with_network(
         replace(reconstruction, class_probability=edges)
         for reconstruction, edges in zip(reconstructions, probability, strict=True)
     ]
+
+
+def _on_building_m(building: Building) -> np.ndarray:
+    """The points (n, 3) on the building, unless they show no roof. Plants, neighbours and what stands on the ground are
+    not as in the simulation that a network learnt from."""
+    on_m = building.point_m[building.is_on_building]
+    return on_m if len(on_m) >= MIN_NUM_POINTS else building.point_m

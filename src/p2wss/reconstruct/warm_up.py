@@ -166,7 +166,7 @@ def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
 class _Network:
     """Hip roofs everywhere, in place of a network, which has nothing to compile."""
 
-    max_num_vertices = 64
+    max_num_vertices, on_building = 64, False
 
     def with_num_views(self, num_views: int) -> _Network:
         return self

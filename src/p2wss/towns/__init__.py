@@ -18,7 +18,7 @@ from p2wss.towns.ign import write_footprints, write_terrain
 from p2wss.towns.lidar import write_lidar
 from p2wss.towns.old import draw_old
 from p2wss.towns.plan import draw_town
-from p2wss.towns.wings import draw_wings
+from p2wss.towns.wings import draw_terraces, draw_wings
 
 __all__ = ["MINIATURE_SEED", "draw_town", "write_footprints", "write_lidar", "write_terrain", "write_town"]
 
@@ -38,7 +38,8 @@ def write_town(folder: Path, seed: int, with_lidar: bool, kind: str = "streets")
     (:mod:`p2wss.towns.old`).
     """
     rng = np.random.Generator(np.random.PCG64(seed))
-    town = {"streets": draw_town, "wings": draw_wings, "old": draw_old}[kind](rng)
+    draws = {"streets": draw_town, "wings": draw_wings, "terraces": draw_terraces, "old": draw_old}
+    town = draws[kind](rng)
     write_terrain(folder / TERRAIN, town[0].ground)
     write_footprints(town, folder / FOOTPRINTS, rng)
     if with_lidar:

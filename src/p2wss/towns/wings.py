@@ -28,12 +28,12 @@ _SIMPLIFY_M = 0.002
 _INNER = ("gable", "hip", "half-hip")  # roofs whose ridge is in the middle
 
 
-def draw_wings(rng: np.random.Generator) -> list[DrawnBuilding]:
-    """Groups of all shapes in turn, each turned at random, in lines within the LiDAR tile. A row is a group of several
-    buildings, any other shape a group of one."""
+def draw_wings(rng: np.random.Generator, shapes: Sequence[str] = SHAPES) -> list[DrawnBuilding]:
+    """Groups of these shapes in turn, each turned at random, in lines within the LiDAR tile. A row or terrace is a
+    group of several buildings, any other shape a group of one."""
     town: list[DrawnBuilding] = []
     x, y, depth = LIDAR_X_MIN + _MARGIN_M, LIDAR_Y_MAX - _MARGIN_M, 0.0
-    for shape in itertools.cycle(SHAPES):
+    for shape in itertools.cycle(shapes):
         group = _draw_group(shape, rng)
         turn = rng.uniform(0, 2 * np.pi)
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -51,6 +51,11 @@ def draw_wings(rng: np.random.Generator) -> list[DrawnBuilding]:
         town += buildings
         x, depth = x + size[0] + _GAP_M, max(depth, size[1])
     return town
+
+
+def draw_terraces(rng: np.random.Generator) -> list[DrawnBuilding]:
+    """Rows of houses with parts behind them."""
+    return draw_wings(rng, ("terrace",))
 
 
 def _map(buildings: list[DrawnBuilding], rng: np.random.Generator) -> None:
@@ -98,6 +103,8 @@ def _draw_group(shape: str, rng: np.random.Generator) -> list[list[Wing]]:
     """The bodies of each building of a group, in the group's own frame."""
     if shape == "row":
         return _draw_row(rng)
+    if shape == "terrace":
+        return _draw_terrace(rng)
     if shape == "flat":
         return [_draw_flat(rng)]
     if shape == "sheds":
@@ -255,6 +262,34 @@ def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
         ]
         for k in range(number)
     ]
+
+
+def _draw_terrace(rng: np.random.Generator) -> list[list[Wing]]:
+    """Houses wall to wall under one roof, most with a lower part of their own behind it, often as wide as the house, so
+    that its footprint does not show it."""
+    wide, width = round(rng.uniform(4.5, 8), 3), rng.uniform(6.5, 10.5)
+    eave, pitch = rng.uniform(2.8, 8), rng.uniform(22, 58)
+    roof = str(rng.choice(["gable", "uneven", "mansard", "flat"], p=[0.65, 0.1, 0.05, 0.2]))
+    with_dormers = roof == "gable" and rng.random() < 0.5
+    houses = []
+    for u in wide * np.arange(rng.integers(2, 8)):
+        main = _body((u, 0), 0, (0, -width / 2, wide, width / 2), eave, pitch, roof)
+        house = [main]
+        if with_dormers and rng.random() < 0.7:
+            house += _dormers(main, roof, wide, width, rng)
+            house[1:] = [replace(each, outline=np.add(each.outline, (u, 0))) for each in house[1:]]
+        for side in (1, -1):
+            if rng.random() < (0.75 if side == 1 else 0.15):
+                deep, share = rng.uniform(1.2, 6), 1.0 if rng.random() < 0.6 else rng.uniform(0.35, 0.8)
+                low_m = rng.uniform(2.2, min(eave + 0.5, 3.3 if rng.random() < 0.7 else 8))
+                # the low side of a shed is away from the main body
+                turn_deg, start = (180, u + share * wide) if side == 1 else (0, u)
+                origin = (start, side * (width / 2 + deep))
+                kind = "flat" if rng.random() < 0.65 else "shed"
+                box = (0, 0, share * wide, deep)
+                house.append(_body(origin, turn_deg, box, low_m, rng.uniform(5, 25), kind))
+        houses.append(house)
+    return houses
 
 
 def true_solids(town: Sequence[DrawnBuilding]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

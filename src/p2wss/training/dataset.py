@@ -48,7 +48,8 @@ class BuildingDataset:
     rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i
     leaves vertex i. height_m: float32 (n,), eave above ``ground_z_m``. num_excluded: buildings per reason.
 
-    Without labels the rings are empty and the heights NaN.
+    num_on_building: int64 (n,): so many points of each cloud, the first ones, are on the building.
+    Without labels these are none, the rings are empty and the heights NaN.
     """
 
     points_cm: np.ndarray
@@ -58,6 +59,7 @@ class BuildingDataset:
     vertex_offset: np.ndarray
     angle_deg: np.ndarray
     height_m: np.ndarray
+    num_on_building: np.ndarray
     num_excluded: dict[str, int]
 
     def __len__(self) -> int:
@@ -79,19 +81,24 @@ class BuildingDataset:
         """The angle (n,) of each edge of a building."""
         return self.angle_deg[self.vertex_offset[building] : self.vertex_offset[building + 1]]
 
-    def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
+    def batch(
+        self, index: np.ndarray, num_points: int, seed: int | None, on_building: np.ndarray | None = None
+    ) -> Batch:
         """The buildings ``index`` as a padded batch on the CPU; clouds of more than ``num_points`` are thinned.
 
         ``seed`` selects the points to keep, for each building independently; without a seed the selection
-        depends on the size of the cloud only.
+        depends on the size of the cloud only. on_building: bool (b,), of which only points on the building are used.
         """
-        count = np.minimum(np.diff(self.point_offset)[index], num_points)
+        num_all = np.diff(self.point_offset)[index]
+        if on_building is not None:
+            num_all = np.where(on_building, self.num_on_building[index], num_all)
+        count = np.minimum(num_all, num_points)
         num_vertices = self.num_vertices[index]
         points = np.zeros((len(index), count.max(), 3), np.float32)
         xy = np.zeros((len(index), max(num_vertices.max(), 1), 2), np.float32)
         angle = np.zeros(xy.shape[:2], np.float32)
         for row, building in enumerate(index):
-            cloud = self.cloud_cm(building)
+            cloud = self.cloud_cm(building)[: num_all[row]]
             state = None if seed is None else int(building) * SEED_STRIDE + seed
             points[row, : count[row]] = cloud[thin(len(cloud), num_points, state)]
             xy[row, : num_vertices[row]] = self.ring_m(building)

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from p2wss.config import Augmentation
 from p2wss.config import Model as ModelConfig
-from p2wss.data.seeds import derive_seed
+from p2wss.data.seeds import derive_seed, generator
 from p2wss.nets import compute, distributed
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae
@@ -95,7 +95,9 @@ class ModelTask:
         config, dvae_config = self.config, self.module.dvae_config
         seed = derive_seed(config.seed, "model", "points", step)
         index = distributed.shard(self.sampler.batch(step))
-        batch = self.training_set.batch(index, dvae_config.num_points, seed).to(self.device)
+        on_building = generator(seed).random(len(index)) < config.augmentation.on_building_share
+        on_building &= self.training_set.num_on_building[index] >= dvae_config.min_points
+        batch = self.training_set.batch(index, dvae_config.num_points, seed, on_building).to(self.device)
         batch = augment_batch(batch, config.augmentation, dvae_config.min_points)
         tokenizer = self.module.tokenizer
         parameters, _ = tokenizer.canonical(

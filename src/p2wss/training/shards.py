@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import shapely
 
 from p2wss.data import reasons
 from p2wss.data.manifest import read_manifest
+from p2wss.data.points import points_on_building
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
@@ -32,6 +34,7 @@ _CLOUD_COLUMNS = [
     "x_cm",
     "y_cm",
     "z_cm",
+    "classification",
     "ground_z_m",
 ]
 _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_terrain_z_m", "angle_deg"]
@@ -86,6 +89,7 @@ def load_dataset(
         vertex_offset=_offsets(joined("num_vertices")),
         angle_deg=joined("angle_deg"),
         height_m=joined("height_m"),
+        num_on_building=joined("num_on_building"),
         num_excluded=dict(excluded),
     )
 
@@ -146,14 +150,25 @@ def _read_shard(
             reach[i] = np.hypot(*(ring - centroid).T).max()
         require(reach < limits.max_length_m, reasons.FOOTPRINT_TOO_LARGE)
     rows = np.flatnonzero(usable)
+    points_cm, num_on_building = np.stack(axes, -1), np.zeros(len(table), np.int64)
+    if labelled:
+        classes, _ = files.list_column(table, "classification")
+        for i in rows:
+            cloud = slice(offset[i], offset[i + 1])
+            polygon = shapely.Polygon(xy[xy_offset[i] : xy_offset[i + 1]].reshape(-1, 2))
+            above_m = 0.01 * points_cm[cloud] - [0.0, 0.0, ground[i]]
+            is_on = points_on_building(polygon, above_m, classes[cloud])
+            points_cm[cloud] = points_cm[cloud][np.argsort(~is_on, kind="stable")]
+            num_on_building[i] = is_on.sum()
     return BuildingDataset(
-        points_cm=np.stack([axis[np.repeat(usable, count)] for axis in axes], -1),
+        points_cm=points_cm[np.repeat(usable, count)],
         point_offset=_offsets(count[rows]),
         ground_z_m=ground[rows].astype(np.float32),
         xy_m=xy.reshape(-1, 2)[np.repeat(usable, np.diff(xy_offset) // 2)].astype(np.float32),
         vertex_offset=_offsets(num_vertices[rows]),
         angle_deg=angle[np.repeat(usable, num_vertices)].astype(np.float32),
         height_m=height[rows].astype(np.float32),
+        num_on_building=num_on_building[rows],
         num_excluded={},
     )
 

@@ -254,6 +254,16 @@ def test_command_line_and_manifest(tmp_path, capsys):
     assert sum(content["shards"][0]["splits"].values()) == len(rows)
     assert content["num_rows"] == 2 * len(rows)
 
+    labelled = str(tmp_path / "labelled.parquet")
+    assert main(["crops", "labels", "--crops", shard, "--split", "val", "--out", labelled]) == 0
+    fitted = files.read_table(labelled, CROPS)
+    assert set(fitted["split"].to_pylist()) == {"val"} and fitted["x_cm"] == rows["x_cm"]
+    true_m, fitted_m = (
+        np.array(table["eave_height_m"]) + np.array(table["label_terrain_z_m"]) for table in (rows, fitted)
+    )
+    assert np.median(np.abs(fitted_m - true_m)) < 0.2
+    assert list(map(len, fitted["angle_deg"])) == list(map(len, rows["angle_deg"]))
+
     capsys.readouterr()
     wide_guard = '{"crops": {"guard_m": 100}}'
     assert main([*crop, "--config", wide_guard]) == 2

@@ -51,6 +51,23 @@ def test_mesh_has_the_predicted_eave_and_slope() -> None:
     assert reconstruction.ground_z_m == 42
 
 
+def test_a_network_that_asks_for_them_gets_the_points_on_the_building_unless_they_are_two() -> None:
+    case = building(height_m=6.0, num_points=100)
+    tree_m = np.column_stack([np.linspace(1, 11, 300), np.full(300, 4.0), np.full(300, 15.0)])
+    beside_m = tree_m + np.array([0.0, 4.5, 0.0])  # the roof of a neighbour
+    points = np.vstack([case.point_m, tree_m, beside_m])
+    classes = np.repeat([6, 5, 6], [len(case.point_m), 300, 300]).astype(np.uint8)
+    cluttered = replace(case, point_m=points, classification=classes)
+    two = replace(
+        cluttered, point_m=points[-502:], classification=np.repeat([6, 5, 6], [2, 200, 300]).astype(np.uint8)
+    )
+    oracle = Oracle()
+    assert reconstruct_with_network([cluttered], oracle, CONFIG)[0].eave_height_m == 15.0
+    oracle.on_building = True
+    rows = reconstruct_with_network([cluttered, two], oracle, CONFIG)
+    assert [row.eave_height_m for row in rows] == [6.0, 15.0]
+
+
 def test_too_few_points_get_a_flat_roof_and_no_point_only_a_reason() -> None:
     cases = [building(num_points=5), building(num_points=0), building(height_m=70)]
     reconstructions = reconstruct_with_network(cases, Oracle(), CONFIG)

@@ -18,7 +18,7 @@ from p2wss.mesh.surface import topmost
 from p2wss.reconstruct.scene import Scene, SceneBuilding
 from p2wss.towns import FOOTPRINTS, draw_wings
 from p2wss.towns.ign import building_id
-from p2wss.towns.wings import SHAPES
+from p2wss.towns.wings import SHAPES, draw_terraces, true_solids
 
 SEED = 5
 
@@ -72,3 +72,14 @@ def test_a_second_drawing_writes_the_same_bytes(folder: Path, tmp_path: Path) ->
     assert main(["towns", "--kind", "wings", "--seed", str(SEED), "--out", str(tmp_path)]) == 0
     for name in (ROOFS, FOOTPRINTS):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_most_terraced_houses_have_a_lower_part_and_many_footprints_do_not_show_it() -> None:
+    town = draw_terraces(np.random.Generator(np.random.PCG64(SEED)))
+    low = [any(wing.ridge_m < house.wings[0].eave_m for wing in house.wings[1:]) for house in town]
+    is_hidden = [
+        each and house.footprint.area > 0.97 * shapely.minimum_rotated_rectangle(house.footprint).area
+        for each, house in zip(low, town, strict=True)
+    ]
+    assert len(town) > 200 and 0.4 < np.mean(low) < 0.95 and 0.2 < np.mean(is_hidden) < 0.7
+    assert len(list(true_solids(town[:9]))) == 9

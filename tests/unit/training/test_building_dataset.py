@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import shapely
 import torch
 import toy_crops
 
@@ -107,7 +108,8 @@ def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
     for row, i in enumerate((7, 2)):
         points = batch.points[row][batch.valid[row]].numpy()
         cm = np.column_stack([table[name][i].as_py() for name in ("x_cm", "y_cm", "z_cm")])
-        assert np.allclose(points, cm / 100, atol=1e-5)
+        # those on the building come first
+        assert sorted(np.rint(100 * points).astype(int).tolist()) == sorted(cm.tolist())
         assert np.allclose(batch.xy[row].numpy().ravel(), table["footprint_xy_m"][i].as_py(), atol=1e-5)
         assert batch.angle[row].tolist() == table["angle_deg"][i].as_py()
     thinned = train.batch(np.array([7, 2]), 100, 0)
@@ -117,6 +119,17 @@ def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
     assert set(chosen) <= whole
     again = train.batch(np.array([2, 7]), 100, None)
     assert torch.equal(again.points[1], train.batch(np.array([7]), 100, None).points[0])
+
+
+def test_a_batch_may_hold_only_the_points_on_the_building(manifest: Path) -> None:
+    train = load_dataset(manifest, ["train"], LIMITS, labelled=True)
+    index = np.array([7, 2])
+    every, some = train.batch(index, 10**6, 0), train.batch(index, 10**6, 0, np.array([False, True]))
+    assert some.valid[0].sum() == every.valid[0].sum()
+    num_on = some.valid[1].sum().item()
+    assert 0 < num_on == train.num_on_building[2] < every.valid[1].sum()
+    inside = shapely.contains_xy(shapely.Polygon(train.ring_m(2)), *some.points[1, :num_on, :2].T.numpy())
+    assert inside.all() and (some.points[1, :num_on, 2] > train.ground_z_m[2] + 1).all()
 
 
 def test_an_epoch_visits_every_building_once_in_batches_of_similar_length() -> None:
