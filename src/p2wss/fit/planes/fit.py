@@ -117,7 +117,7 @@ def fit_planes(
     built = label = _without_pinches(cells, costs, least_cost(costs), plane)
     if num_open:
         built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
-    mesh = solid_below(cells, built, plane, np.concatenate(rings))
+    mesh = solid_below(cells, built, plane, corner_m)
     if mesh is None:
         return None
     body = costs.bodies(label)
