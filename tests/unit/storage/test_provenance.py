@@ -122,7 +122,7 @@ def test_the_config_counts_only_where_it_is_named(copy):
     [
         ("numpy", True, True, True),
         ("numba", True, True, True),
-        ("shapely", True, True, False),
+        ("shapely", True, True, True),
         ("torch", False, False, True),
     ],
 )
