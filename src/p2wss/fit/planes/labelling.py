@@ -88,7 +88,7 @@ def costs_of(
     to which it is the nearest."""
     num_planes = len(plane)
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    row, per_m2, seen_per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density), density
+    row, per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density)
     of_row = of_cell[row]
     if density < prices.few_per_m2:
         # many cells have no point: each place pays for the point nearest to it
@@ -96,8 +96,6 @@ def costs_of(
         # of points around, those on planes that the building's own show, too; all if it has none within moved walls
         row = np.flatnonzero(np.isin(label, label[row] if len(row) else label))
         row = row[nearest(point_m[row, :2], place_m)[1][:, 0]]
-        # roofs around show the lowest and the highest places, too
-        seen_per_m2 = len(point_m) / float(cells.area_m2.sum())
     place = np.add.outer(of_row * num_planes, np.arange(num_planes)).ravel()
     num_places = len(cells.area_m2) * num_planes
     off_m3 = np.bincount(place, (off_m[row] / per_m2[:, None]).ravel(), num_places)
@@ -105,11 +103,8 @@ def costs_of(
     low_z, high_z = cells.extremes(plane)
     beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
     expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
-    # between the last point and the end of a roof
-    gap_m = np.hypot(plane[:, 0], plane[:, 1]) / (2 * seen_per_m2**0.5)
-    above_m = high_z - point_m[:, 2].max() - gap_m - prices.support_m
-    below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z
-    unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)
+    above_m, below_m = high_z - point_m[:, 2].max(), point_m[:, 2].min() - low_z
+    unsupported_m = np.clip(np.maximum(above_m, below_m) - prices.support_m, 0.0, prices.cap_m)
     cell_m3 += cells.area_m2[:, None] * (expected_m + unsupported_m)
     cell_m3[low_z < _LOWEST_M] += _FORBIDDEN_M3
     is_shared = (cells.pair >= 0).all(axis=1)

@@ -498,13 +498,13 @@ def test_few_points_that_are_all_outside_of_moved_walls_still_show_a_roof() -> N
 def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     cells, plane = arrange([square], []), np.array([[1.0, 0.0, 3.0]])
-    around_m = np.column_stack([np.linspace(-3, 1, 25), np.full(25, -1.0), np.linspace(0, 4, 25)])
+    around_m = np.column_stack([np.linspace(-3, 3, 25), np.full(25, -1.0), np.linspace(0, 6, 25)])
     point_m = np.vstack([[1.0, 5.0, 4.0], around_m])
     of_cell, label = np.append(0, np.full(25, -1)), np.zeros(26, int)
     prices = PLANES.prices._replace(beyond_share=0.0, cap_m=99.0)
     costs = costs_of(cells, plane, label, point_m, of_cell, 0.01, prices)
-    # 13 m high at the far side; half the distance between 26 points on 100 square metres
-    expected_m = 13.0 - 4.0 - 0.5 / 0.26**0.5 - prices.support_m
+    # 13 m high at the far side; the highest point is at 6 m
+    expected_m = 13.0 - 6.0 - prices.support_m
     assert costs.cell_m3[0, 0] == pytest.approx(100 * expected_m)
 
 
