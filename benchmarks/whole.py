@@ -106,6 +106,7 @@ def main() -> int:
         if arguments.copies:
             inputs = [*town(place, arguments.copies, Path(name)), out, "--model", "none", "--quiet"]
             runs["town"] = [run([*p2wss[:-1], *inputs])]
+            runs["town, two threads"] = [run([*p2wss[:-1], *inputs, "--threads", "2"])]
             timed = [sys.executable, "-c", WRITING, "reconstruct", *inputs, "--config", RADAR_SCENE]
             runs["radar scene"] = [run(timed)]
     factor = min(factors)
@@ -130,6 +131,8 @@ def main() -> int:
         house_s = best["town"].cpu_s / (arguments.copies * len(houses))
         figures.at_most("a house of the town, CPU ms", 1e3 * house_s / factor, 20)
         figures.at_most("peak of the town, MiB", best["town"].peak_mib, 800)
+        share = best["town, two threads"].wall_s / best["town"].wall_s
+        figures.at_most("wall of two threads over one, town", share, 0.6)
         lines = best["radar scene"].output.splitlines()
         writing_s = next(json.loads(line)["cpu_s"] for line in lines if line.startswith("{"))
         figures.at_most("skins, Sionna and GLB of the town, CPU s", writing_s / factor, 30)
