@@ -45,6 +45,7 @@ def write(
     with files.atomic(path, seal=True) as temporary:
         # GDAL creates the file itself, and refuses an empty one
         temporary.unlink()
+        before = {name: pyogrio.get_gdal_config_option(name) for name in _OPTIONS}
         pyogrio.set_gdal_config_options(_OPTIONS)
         try:
             _add_layer(
@@ -57,7 +58,7 @@ def write(
         except (RuntimeError, sqlite3.Error) as error:  # of a full disk, for instance, and no OSErrors
             raise OSError(str(error)) from error
         finally:
-            pyogrio.set_gdal_config_options(dict.fromkeys(_OPTIONS))
+            pyogrio.set_gdal_config_options(before)
 
 
 def _add_layer(path: Path, name: str, features: Features, **options: Any) -> None:

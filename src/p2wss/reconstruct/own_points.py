@@ -112,9 +112,9 @@ def _theirs(
     own = is_solid & inside & ~deep_within
     is_near = own & ~within & beside_core
     is_deep = own & ~is_near
-    surface = np.column_stack([point_m, np.full((len(point_m), 2), np.nan)])
     if not is_near.any():
         return result
+    surface = np.column_stack([point_m, np.full((len(point_m), 2), np.nan)])
     if is_deep.any() and (np.abs(_rise_m(surface[is_near], surface[is_deep])) < RULES.step_m).all():
         return result
     band = np.flatnonzero(own | (is_high & ~inside))

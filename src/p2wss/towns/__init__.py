@@ -34,8 +34,8 @@ def write_town(folder: Path, seed: int, with_lidar: bool, kind: str = "streets")
     """Draw the town of ``seed``, write its files into ``folder`` and return its buildings.
 
     Footprints and terrain are the same with and without the LiDAR. kind: ``streets``, ``wings`` for houses whose
-    roofs consist of several bodies (:mod:`p2wss.towns.wings`), or ``old`` for tall houses wall to wall
-    (:mod:`p2wss.towns.old`).
+    roofs consist of several bodies, ``terraces`` for rows of such houses (:mod:`p2wss.towns.wings`), or ``old`` for
+    tall houses wall to wall (:mod:`p2wss.towns.old`).
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     draws = {"streets": draw_town, "wings": draw_wings, "terraces": draw_terraces, "old": draw_old}

@@ -86,3 +86,8 @@ def test_sqlite_does_not_wait_for_the_disk_while_a_file_is_written(
     gpkg.write(tmp_path / "a.gpkg", features, {})
     # a program that writes files of its own may want them to be safe at each step
     assert seen == [False] and pyogrio.get_gdal_config_option(name) is None
+    pyogrio.set_gdal_config_options({name: "FULL"})
+    gpkg.write(tmp_path / "b.gpkg", features, {})
+    kept = pyogrio.get_gdal_config_option(name)
+    pyogrio.set_gdal_config_options({name: None})
+    assert seen == [False, False] and kept == "FULL"

@@ -437,6 +437,23 @@ def test_lines_that_few_points_cannot_tell_apart_are_one() -> None:
     assert num_lines[1] < num_lines[0]
 
 
+def test_ridges_that_few_points_do_not_tell_apart_are_on_one_line() -> None:
+    """The other side of a ridge at x = 0 is 40 cm higher where y < 0, so that it meets the first at x = 0.2."""
+    rings = [np.array([[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]])]
+    xy_m = np.array([[x, y] for x in np.arange(-8.9, 10, 3) for y in np.arange(-9.0, 10, 3)])
+    label = np.where(xy_m[:, 0] < 0.1, 0, np.where(xy_m[:, 1] < 0, 2, 1))
+    plane = np.array([[1.0, 0.0, 14.0], [-1.0, 0.0, 14.0], [-1.0, 0.0, 14.4]])
+    point_m = np.column_stack([xy_m, height_over(plane, label, xy_m)])
+    drawing = PLANES.drawing.for_density(len(xy_m) / 400)
+    assert drawing.snaps_meets and not PLANES.drawing.for_density(4.0).snaps_meets
+    ridges_m = [
+        {round(line.offset_m, 6) for line in lines_of(rings, plane, label, point_m, [0.0], each)}
+        for each in (drawing._replace(snaps_meets=False), drawing)
+    ]
+    are_apart = [{0.0, 0.2} <= set(map(abs, each)) for each in ridges_m]
+    assert are_apart == [True, False]
+
+
 def test_the_highest_of_many_points_may_be_of_no_plane() -> None:
     rings, plane = gable(40, 30, 4, 0.0)
     point_m = np.vstack([sampled(rings, plane, 1, 0.3), [-9.0, 5.0, 30.0], [5.0, 5.0, 40.0]])
