@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -93,7 +94,10 @@ def _write_crops(
 @option("--split", type=click.Choice(["train", "val", "test"]), required=True, help="of its buildings")
 @file_option("--out", "Parquet to write: the shard with labels, for --simulated of p2wss crops manifest")
 def crops_labels(crops: Path, split: str, out: Path) -> None:
-    """Label crops that have no labels by the parametric roofs that are fitted to their points, to train on them."""
+    """Label crops that have no labels by the parametric roofs that are fitted to their points, to train on them.
+
+    Without a fitted roof, as of too few points, there is no label, and the crop is left out.
+    """
     from p2wss.eval.cases import from_crops
     from p2wss.reconstruct.product import reconstruct_buildings
     from p2wss.storage.schemas.crops import CROPS, REAL
@@ -102,6 +106,10 @@ def crops_labels(crops: Path, split: str, out: Path) -> None:
     # a label has an angle for each edge of the footprint as it is
     config = Reconstruct(roofs="parametric", max_wall_shift_m=0)
     roofs = reconstruct_buildings([case.building for case in from_crops(table, REAL)], None, config)
+    status = [roof.status for roof in roofs]
+    log_status_counts(out, status)
+    is_fitted = [each == "ok" for each in status]
+    table, roofs = table.filter(is_fitted), list(compress(roofs, is_fitted))
     columns = {name: table[name].combine_chunks() for name in table.column_names} | {
         "split": [split] * len(table),
         "eave_height_m": [roof.eave_height_m for roof in roofs],
