@@ -3,7 +3,7 @@
     python benchmarks/learning_curve.py results/shipped/crops/manifest.json --model models/point2wss.safetensors \
         --checkpoints CHECKPOINTS/step-*.pt --every 6
 
-The averaged weights of each checkpoint predict held-out buildings: with the footprint given, and with all digits masked
+The weights of each checkpoint predict held-out buildings: with the footprint given, and with all digits masked
 as in Table 1 of the paper. The last line is JSON; a training keeps its last two checkpoints, so copy those in between.
 """
 
@@ -59,8 +59,7 @@ def main() -> None:
     result = {}
     for path in [arguments.model, *sorted(arguments.checkpoints)]:
         if path != arguments.model:
-            averaged = torch.load(path, map_location="cpu", weights_only=True)["averaged"]
-            weights = {name.removeprefix("module."): value for name, value in averaged.items()}
+            weights = torch.load(path, map_location="cpu", weights_only=True)["module"]
             module.load_state_dict({name: weights[name] for name in module.state_dict()})
         result[path.stem] = figures(rows, module)
         text = ", ".join(f"{key} {value:.3f}" for key, value in result[path.stem].items())

@@ -229,7 +229,7 @@ def _png(folder: Path) -> Path:
 
 def _state() -> TrainingState:
     torch.manual_seed(0)
-    return TrainingState(nn.Linear(8, 4), Optimiser(num_steps=10), 0.9)
+    return TrainingState(nn.Linear(8, 4), Optimiser(num_steps=10))
 
 
 def _checkpoint(folder: Path) -> Path:

@@ -28,7 +28,7 @@ _PAPER_LOSSES = {
     "match_balanced": False,
     "loss_weights": {"cloud": 1, "sequence": 1, "modal": 1, "match": 1},
 }
-_PLAIN_NUMBERS = {"ground_relative": False, "numerical_encoding": False, "numerical_decoding": False}
+_PLAIN_NUMBERS = {"ground_relative": False, "numerical_decoding": False}
 _PAPER = {
     **_PAPER_MASKING,
     **_PAPER_DECODING,
@@ -36,7 +36,6 @@ _PAPER = {
     **_NO_EDGES,
     **_PAPER_LOSSES,
     **_PLAIN_NUMBERS,
-    "ema_decay": 0,
 }
 
 
@@ -57,9 +56,7 @@ class Ablation(Section):
             "no_mirror": {"augmentation": {"mirror": False}},
             "no_occlusion": {"augmentation": {"occlusion_share": 0}},
             "all_auxiliary": {"auxiliary_share": 1},
-            "no_average": {"ema_decay": 0},
             "no_ground": {"ground_relative": False},
-            "no_numerical_encoding": {"numerical_encoding": False},
             "no_numerical_decoding": {"numerical_decoding": False},
             "no_edge_attention": {"edge_attention": False},
             "no_edges": _NO_EDGES,

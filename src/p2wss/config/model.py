@@ -160,9 +160,6 @@ class Model(Section):
         "0.9 as in the paper",
     )
     ground_relative: bool = Field(True, description="patches also encode their height above the ground")
-    numerical_encoding: bool = Field(
-        True, description="digit tokens also encode their numerical value (Regression Transformer)"
-    )
     numerical_decoding: bool = Field(
         True, description="the digits of a number are also predicted from a value that they share"
     )
@@ -172,12 +169,6 @@ class Model(Section):
     )
     edge_attention: bool = Field(
         True, description="parameter tokens also attend to the patches by their position relative to the edge"
-    )
-    ema_decay: float = Field(
-        0.99,
-        ge=0,
-        lt=1,
-        description="decay of the moving average of the weights; the averaged weights are saved; 0 = off",
     )
     loss_weights: LossWeights = LossWeights()
     masking: Masking = Masking()

@@ -77,14 +77,7 @@ class SequenceEncoder(nn.Module):
         self.slot = nn.Embedding(tokenizer.header_length + tokenizer.block_length + 1, dim)
         self.vertex = nn.Embedding(config.max_vertices + 1, dim)
         self.encoder = Encoder(config, config.sequence_depth)
-        value = tokenizer.token_value
-        self.register_buffer("token_value", value, persistent=False)
-        self.numerical: Tensor | None
-        self.register_buffer(
-            "numerical",
-            numerical_encoding(value, dim) if config.numerical_encoding else None,
-            persistent=False,
-        )
+        self.register_buffer("token_value", tokenizer.token_value, persistent=False)
         self.edge: nn.Module | None = None
         if config.edge_embedding:
             self.edge = nn.Sequential(
@@ -101,23 +94,12 @@ class SequenceEncoder(nn.Module):
         slot = torch.where(end, self.slot.num_embeddings - 1, slot)
         vertex = torch.where(end, self.max_vertices, vertex)
         x = self.word(tokens) + self.slot(slot) + self.vertex(vertex)
-        if self.numerical is not None:
-            x = x + self.numerical[tokens]
         if self.edge is not None:
             # tokens of vertices only: the end token must not depend on the length of the batch
             inside = torch.arange(edges.shape[1], device=tokens.device) < num_vertices[:, None]
             edge = (self.edge(edges) * inside[..., None]).repeat_interleave(tok.block_length, 1)
             x = x + F.pad(edge, (0, 0, tok.header_length, 1))
         return x
-
-
-def numerical_encoding(value: Tensor, dim: int) -> Tensor:
-    """(vocabulary, dim): the Regression Transformer's NE[2i] = v / (2i + 1), NE[2i + 1] = -NE[2i].
-
-    v is the token's ``value`` (vocabulary,), scaled to at most 10.
-    """
-    even = value[:, None] * (10 / value.max()) / (2 * torch.arange((dim + 1) // 2, device=value.device) + 1)
-    return torch.stack([even, -even], -1).flatten(1)[:, :dim]
 
 
 def edge_features(tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, token_value: Tensor) -> Tensor:
@@ -191,7 +173,7 @@ class EdgeAttention(nn.Module):
 
 
 class NumberHead(nn.Module):
-    """Logits of digits from a value that the digits of a number share: the mirror of the numerical encoding.
+    """Logits of digits from a value that the digits of a number share.
 
     Of each number a value v and its deviation s are linear in the features of its first digit. Digit d of place p has
     the logit of a von Mises distribution, cos(2 pi (v - c) / 10^(p + 1)) / t^2: c is the middle of the numbers with

@@ -42,7 +42,7 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
         validation_set = load_dataset(manifest, ["val"], limits, labelled=False, folder=checkpoints)
         torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
         task = DvaeTask(DiscreteVae(config).to(device), training_set, validation_set)
-        plan = loop.Plan(config.seed, config.optimiser, 0.0, config.checkpoint_every_steps)
+        plan = loop.Plan(config.seed, config.optimiser, config.checkpoint_every_steps)
         identity = {
             "stage": "dvae",
             "config": loop.training_config(config),

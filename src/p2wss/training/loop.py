@@ -36,11 +36,10 @@ WORKFLOW_VARIABLE = "P2WSS_WORKFLOW_PROCESS"
 
 @dataclass(frozen=True)
 class Plan:
-    """How to train: seed, optimiser, decay of the averaged weights (0 = none), when to validate and save."""
+    """How to train: seed, optimiser, when to validate and save."""
 
     seed: int
     optimiser: Optimiser
-    ema_decay: float
     checkpoint_every_steps: int
 
 
@@ -55,11 +54,11 @@ class Task(Protocol):
         """Losses of the batch of ``step``; the one named ``loss`` is minimised, the others are logged."""
 
     def validate(self, module: nn.Module) -> dict[str, float]:
-        """Measures on held-out data of ``module``, the averaged weights where there are any."""
+        """Measures on held-out data of ``module``."""
 
 
 def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], code: str) -> nn.Module:
-    """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return the weights to keep.
+    """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return it.
 
     Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of
     the same ``identity`` (config, data; JSON values), training resumes there; one of another identity is
@@ -69,7 +68,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
     :class:`InputError` when the loss is no longer finite.
     """
     num_steps = plan.optimiser.num_steps
-    state = TrainingState(task.module, plan.optimiser, plan.ema_decay)
+    state = TrainingState(task.module, plan.optimiser)
     start = state.resume(checkpoints, identity)
     if [line["code"] for line in state.metrics if "code" in line][-1:] != [code]:
         state.metrics.append({"step": start, "code": code})
@@ -96,7 +95,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
             if stopping:
                 log.info("stopped at step %d of %d; the next run resumes there", done, num_steps)
                 raise SystemExit(0)
-    return state.trained
+    return task.module
 
 
 def training_config(config: Section) -> dict[str, Any]:
@@ -129,7 +128,7 @@ def _take_step(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[
 
 def _validate(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[str, float]:
     torch.manual_seed(derive_seed(plan.seed, "validate", step))
-    module = state.trained
+    module = task.module
     module.eval()
     with torch.no_grad():
         measures = task.validate(module)

@@ -56,7 +56,7 @@ def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, co
             )
         log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
         task = ModelTask(module.to(device), vae.to(device), training_set, validation_set)
-        plan = loop.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
+        plan = loop.Plan(config.seed, config.optimiser, config.checkpoint_every_steps)
         identity = {
             "stage": "model",
             "config": loop.training_config(config),

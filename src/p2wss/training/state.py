@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.optim.lr_scheduler import LambdaLR
-from torch.optim.swa_utils import AveragedModel
 
 from p2wss.config import Optimiser
 from p2wss.nets import distributed
@@ -26,13 +24,9 @@ MAX_CHECKPOINTS = 2
 
 
 class TrainingState:
-    """A network, the running average of its weights, its optimiser, its learning rate's schedule, and the metrics of
-    the steps so far.
+    """A network, its optimiser, its learning rate's schedule, and the metrics of the steps so far."""
 
-    Averaged weights are off for an ``ema_decay`` of 0.
-    """
-
-    def __init__(self, module: nn.Module, settings: Optimiser, ema_decay: float) -> None:
+    def __init__(self, module: nn.Module, settings: Optimiser) -> None:
         self.module = module
         self.settings = settings
         self.optimiser = torch.optim.AdamW(
@@ -42,13 +36,7 @@ class TrainingState:
             foreach=True,
         )
         self.schedule = LambdaLR(self.optimiser, lambda step: learning_rate(step, settings))
-        self.averaged = _averaged_model(module, ema_decay) if ema_decay > 0 else None
         self.metrics: list[dict[str, Any]] = []
-
-    @property
-    def trained(self) -> nn.Module:
-        """The weights to measure and to keep: the averaged ones, if there are any."""
-        return self.module if self.averaged is None else self.averaged.module
 
     @property
     def learning_rate(self) -> float:
@@ -56,11 +44,9 @@ class TrainingState:
         return float(self.schedule.get_last_lr()[0])
 
     def step(self) -> None:
-        """Apply the gradients, follow with the average and move the schedule on."""
+        """Apply the gradients and move the schedule on."""
         self.optimiser.step()
         self.schedule.step()
-        if self.averaged is not None:
-            self.averaged.update_parameters(self.module)
 
     def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
         """Write the metrics and a checkpoint after ``step`` steps, and remove old ones; the main process does."""
@@ -115,8 +101,7 @@ class TrainingState:
         return 0
 
     def _parts(self) -> dict[str, Any]:
-        parts = {"module": self.module, "optimiser": self.optimiser, "schedule": self.schedule}
-        return parts if self.averaged is None else parts | {"averaged": self.averaged}
+        return {"module": self.module, "optimiser": self.optimiser, "schedule": self.schedule}
 
 
 def num_steady_steps(settings: Optimiser) -> int:
@@ -159,22 +144,6 @@ def _parameter_groups(module: nn.Module, weight_decay: float) -> list[dict[str, 
     decayed = [part.weight for part in module.modules() if isinstance(part, nn.Linear)]
     others = [p for p in module.parameters() if not any(p is weight for weight in decayed)]
     return [{"params": decayed, "weight_decay": weight_decay}, {"params": others, "weight_decay": 0.0}]
-
-
-def _averaged_model(module: nn.Module, ema_decay: float) -> AveragedModel:
-    """An exponential moving average of the weights, with a short memory at first: the initial weights must not
-    linger. Buffers (the moments of batch norms) are copied."""
-
-    def update(averaged: Sequence[Tensor], current: Sequence[Tensor], num_averaged: Tensor | int) -> None:
-        # as a tensor: reading the number from a GPU would make every step wait for it
-        count = torch.as_tensor(num_averaged).double()
-        share = 1 - (count / (count + 9)).clamp(max=ema_decay)
-        for mean, weight in zip(averaged, current, strict=True):
-            mean.lerp_(weight, share.to(mean.dtype))
-
-    model = AveragedModel(module, multi_avg_fn=update).requires_grad_(False)
-    model.n_averaged.fill_(1)  # the initial weights; or else the first step's weights would replace them
-    return model
 
 
 def _checkpoints(folder: Path) -> dict[int, Path]:

@@ -15,7 +15,6 @@ SWITCHES = (
     "auxiliary_share",
     "match_balanced",
     "ground_relative",
-    "numerical_encoding",
     "numerical_decoding",
     "edge_embedding",
     "edge_attention",
@@ -66,7 +65,7 @@ def test_plus_differs_in_the_model_only() -> None:
     assert {name for name in papers if papers[name] != plus[name]} == {"model"}
     default = Config().model.model_dump()
     assert {name: plus["model"][name] for name in SWITCHES} == {name: default[name] for name in SWITCHES}
-    sizes = [name for name in papers["model"] if name not in (*SWITCHES, "masking", "decoding", "ema_decay")]
+    sizes = [name for name in papers["model"] if name not in (*SWITCHES, "masking", "decoding")]
     assert {name: plus["model"][name] for name in sizes} == {name: papers["model"][name] for name in sizes}
 
 

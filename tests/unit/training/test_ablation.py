@@ -41,7 +41,6 @@ def test_the_variant_of_the_paper_is_its_config() -> None:
         "augmentation",
         "loss_weights",
         "match_balanced",
-        "ema_decay",
         "auxiliary_share",
     ):
         assert getattr(ours, name) == getattr(paper, name), name

@@ -99,7 +99,7 @@ class Line:
 def train_line(folder: Path) -> dict[str, Tensor]:
     from p2wss.config import Optimiser
 
-    plan = loop.Plan(0, Optimiser(num_steps=40, batch_size=NUM), 0.9, 20)
+    plan = loop.Plan(0, Optimiser(num_steps=40, batch_size=NUM), 20)
     return dict(loop.train(Line(), plan, folder, {}, "x").state_dict())
 
 

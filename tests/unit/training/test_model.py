@@ -309,7 +309,7 @@ def test_a_training_starts_from_given_weights(folder: Path, tmp_path: Path) -> N
     start = str(folder / "m.safetensors")
     few = SMALL_MODEL | {"start": start, "seed": 5, "optimiser": {"num_steps": 1, "batch_size": 8}}
     few |= {"auxiliary_share": 0}
-    config = load({"model": few | {"ema_decay": 0}}).model
+    config = load({"model": few}).model
     trained = model.train(folder / "manifest.json", folder / "d.safetensors", config, tmp_path, "x")
     module = trained.state_dict()
     weights = load_predictor(folder / "m.safetensors", "cpu").module.state_dict()

@@ -67,25 +67,21 @@ def read_metrics(folder: Path) -> str:
 def run(
     folder: Path,
     task: Line,
-    ema_decay: float = 0.9,
     identity: dict = IDENTITY,
     code: str = "x",
     **settings: int,
 ) -> dict[str, Tensor]:
-    plan = loop.Plan(3, Settings(**settings), ema_decay, 20)
+    plan = loop.Plan(3, Settings(**settings), 20)
     return loop.train(task, plan, folder, identity, code).state_dict()
 
 
-@pytest.mark.parametrize("ema_decay", [0.0, 0.9])
 @pytest.mark.parametrize("stop_after", [7, 20, 39, 45])
-def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
-    tmp_path: Path, stop_after: int, ema_decay: float
-) -> None:
-    expected = run(tmp_path / "one", Line(), ema_decay)
+def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(tmp_path: Path, stop_after: int) -> None:
+    expected = run(tmp_path / "one", Line())
     with pytest.raises(SystemExit) as stopped:
-        run(tmp_path / "two", Line(stop_after), ema_decay)
+        run(tmp_path / "two", Line(stop_after))
     assert stopped.value.code == 0
-    resumed = run(tmp_path / "two", Line(), ema_decay)
+    resumed = run(tmp_path / "two", Line())
     assert expected.keys() == resumed.keys()
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
     assert read_metrics(tmp_path / "one") == read_metrics(tmp_path / "two")
@@ -219,17 +215,10 @@ def test_a_full_disk_is_one_clear_line_and_leaves_the_last_checkpoint(
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["metrics.jsonl", "step-00000020.pt"]
 
 
-def test_the_averaged_weights_are_what_is_measured_and_kept(tmp_path: Path) -> None:
-    task = Line()
-    trained = run(tmp_path, task)
-    assert not torch.equal(trained["0.weight"], task.module.state_dict()["0.weight"])
-    assert torch.equal(trained["1.running_mean"], task.module.state_dict()["1.running_mean"])
-
-
 def test_only_weights_of_linear_layers_decay() -> None:
     module = nn.ModuleDict({"a": nn.Linear(2, 2), "b": nn.Embedding(3, 2), "c": nn.LayerNorm(2)})
     module.register_parameter("codebook", nn.Parameter(torch.ones(4, 2)))
-    state = TrainingState(module, Settings(), ema_decay=0.0)
+    state = TrainingState(module, Settings())
     decayed, plain = (group["params"] for group in state.optimiser.param_groups)
     assert [p.shape for p in decayed] == [(2, 2)] and decayed[0] is module["a"].weight
     assert len(plain) == 5 and state.optimiser.param_groups[1]["weight_decay"] == 0
