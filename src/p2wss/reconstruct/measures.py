@@ -155,8 +155,12 @@ def _common_part_m2(first: np.ndarray, second: np.ndarray) -> float:
         kept = 0
         for k in range(num):
             here, after = part[k], part[(k + 1) % num]
-            inside_m2 = (end[0] - start[0]) * (here[1] - start[1]) - (end[1] - start[1]) * (here[0] - start[0])
-            next_m2 = (end[0] - start[0]) * (after[1] - start[1]) - (end[1] - start[1]) * (after[0] - start[0])
+            inside_m2 = (end[0] - start[0]) * (here[1] - start[1]) - (end[1] - start[1]) * (
+                here[0] - start[0]
+            )
+            next_m2 = (end[0] - start[0]) * (after[1] - start[1]) - (end[1] - start[1]) * (
+                after[0] - start[0]
+            )
             if inside_m2 >= 0:
                 cut[kept], kept = here, kept + 1
             if inside_m2 * next_m2 < 0:
