@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.fit.points import median
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton import ordering
+from p2wss.skeleton.compiled import both, entry
 
 
-@dataclass(frozen=True)
-class Rules:
+class Rules(NamedTuple):
     """Where a roof ends beside an edge, and which edges move; all set by hand from what clouds of real houses show.
 
     min_edge_m: shorter edges stay. at_corner_m: points this near to the ends of an edge may belong to the next wall.
@@ -173,7 +173,7 @@ def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:
     return median(begins_m)
 
 
-@entry
+@both
 def _beside(
     start: np.ndarray, end: np.ndarray, point_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -192,27 +192,36 @@ def _beside(
     return share[:num], depth[:num], row[:num]
 
 
+@entry
 def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float) -> np.ndarray:
     """How far behind an edge the roof begins, ``least_m`` or more, for each metre of its length; empty where too few
     show it."""
-    length = float(np.hypot(*(end - start)))
+    length = np.hypot(end[0] - start[0], end[1] - start[1])
     if length < RULES.min_edge_m:
         return np.zeros(0)
     share, depth, row = _beside(start, end, point_m)
-    near = (depth > least_m) & (depth < _FAR_M)
-    share, depth, z = share[near], depth[near], point_m[row[near], 2]
     num_bins = max(1, int((length - 2 * _AT_CORNER_M) / RULES.bin_m))
-    number = np.minimum((share * num_bins).astype(int), num_bins - 1)
-    begins_m = []
-    for k in range(num_bins):
-        here = number == k
-        bands = [here & (depth > low) & (depth <= low + 1.0) for low in (_NEAR_M, _MIDDLE_M)]
-        if min(band.sum() for band in bands) >= RULES.min_points:
-            height_m, next_m = (median(z[band]) for band in bands)
-            slope = min(max(next_m - height_m, 0.0), RULES.steepest)
-            roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
-            begins_m.append(depth[here & (z > roof_m - RULES.below_roof_m)].min())
-    return np.array(begins_m if len(begins_m) >= RULES.min_bins_share * num_bins else [])
+    begins_m, num_begins = np.empty(num_bins), 0
+    near_z, next_z = np.empty(len(row)), np.empty(len(row))
+    for number in range(num_bins):
+        num_near = num_next = 0
+        here = np.flatnonzero(np.minimum((share * num_bins).astype(np.int64), num_bins - 1) == number)
+        for k in here:
+            if _NEAR_M < depth[k] <= _NEAR_M + 1.0:
+                near_z[num_near], num_near = point_m[row[k], 2], num_near + 1
+            elif _MIDDLE_M < depth[k] <= _MIDDLE_M + 1.0 and depth[k] < _FAR_M:
+                next_z[num_next], num_next = point_m[row[k], 2], num_next + 1
+        if min(num_near, num_next) < RULES.min_points:
+            continue
+        height_m = ordering.median(near_z, num_near)
+        slope = min(max(ordering.median(next_z, num_next) - height_m, 0.0), RULES.steepest)
+        first_m = np.inf
+        for k in here:
+            roof_m = height_m + slope * (depth[k] - (_NEAR_M + 0.5))
+            if least_m < depth[k] < _FAR_M and point_m[row[k], 2] > roof_m - RULES.below_roof_m:
+                first_m = min(first_m, depth[k])
+        begins_m[num_begins], num_begins = first_m, num_begins + 1
+    return begins_m[: num_begins if num_begins >= RULES.min_bins_share * num_bins else 0]
 
 
 def _is_open(

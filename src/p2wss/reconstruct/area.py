@@ -165,7 +165,7 @@ def run_area(
         features, registrations, cloud = area.read(batch, points, registers)
         log.debug("batch of %d buildings: %d points around them", len(batch), len(cloud.x_m))
         report = partial(_report, progress, num_done)
-        rows.reconstruct(position[batch], features, cloud, report, registrations)
+        rows.start(position[batch], features, cloud, report, registrations)
         num_done += len(batch)
     rows.finish(int(area.is_chosen.sum()))
 

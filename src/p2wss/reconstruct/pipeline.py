@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from datetime import date, timedelta
 from typing import Any
@@ -23,7 +23,7 @@ from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.own_points import with_own_classes
-from p2wss.reconstruct.processes import in_processes
+from p2wss.reconstruct.processes import Shared
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
@@ -34,9 +34,8 @@ from p2wss.storage.log_lines import log
 
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
-# number of buildings between two reports of progress: of each process, where forks would cost more for fewer, and with
-# a network, which is faster with many
-_BATCH, _NETWORK_BATCH = 64, 256
+# number of buildings that a network reconstructs together, as that is faster
+_NETWORK_BATCH = 256
 # points on the roofs around a building with few: enough to show planes
 _MAX_AROUND = 200
 # whose ground is that of a building without points
@@ -62,13 +61,14 @@ def run(
     """
     results: dict[int, Any] = {}
     rows = Rows(len(features), results, predictor, tile, config, terrain)
-    rows.reconstruct(np.arange(len(features)), features, cloud, progress, registrations)
+    rows.start(np.arange(len(features)), features, cloud, progress, registrations)
     rows.finish()
     return [results[number] for number in range(len(features))]
 
 
 class Rows:
-    """The rows of a run, reconstructed part by part, and at the end what depends on several parts.
+    """The rows of a run, reconstructed part by part, and at the end what depends on several parts. With several
+    processes, the others begin with a part while this one prepares the next.
 
     num_rows: of the run. results: where they are stored; with ``config.max_triangles`` it has so many places again, for
     rows that may be reconstructed once more. num_processes: that fit; one with a network, whose threads a
@@ -89,14 +89,17 @@ class Rows:
         self._num_processes = num_processes if predictor is None else 1
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
-        self._batch = _BATCH * self._num_processes if predictor is None else _NETWORK_BATCH
+        self._batch = 1 if predictor is None else _NETWORK_BATCH
+        # what computes now, and its progress
+        self._current: Iterable[tuple[int, list[tuple[int, Result]]]] = ()
+        self._progress: Callable[[int], object] = lambda num_done: None
         self._origin_xy_m = np.full((num_rows, 2), np.nan)
         # of buildings with points
         self._ground_z_m = np.full(num_rows, np.nan)
         # buildings without points whose ground is that of others
         self._pending: list[Row] = []
 
-    def reconstruct(
+    def start(
         self,
         numbers: np.ndarray,
         features: Features,
@@ -104,8 +107,9 @@ class Rows:
         progress: Callable[[int], object] = lambda num_done: None,
         registrations: Sequence[Registration | None] | None = None,
     ) -> None:
-        """Reconstruct features. numbers: of each in the results. cloud: all points within 64 m of them. progress:
-        called with the number of these that are done. registrations: of each, what moved it."""
+        """Reconstruct features, with several processes until the next call, or the end. numbers: of each in the
+        results. cloud: all points within 64 m of them. progress: called with the number of these that are done.
+        registrations: of each, what moved it."""
         polygons = polygon_arrays.to_polygons(features.geometry)
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
         around = roofs_around(cloud, polygons, cropped)
@@ -120,35 +124,37 @@ class Rows:
         names, status = features["building_id"].tolist(), features["status"].tolist()
         unknown = np.full(len(features), np.nan)
         stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
-        for first in range(0, len(features), self._batch):
-            batch: list[Row] = []
-            for i in range(first, min(first + self._batch, len(features))):
-                point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
-                beside = _in_order(cloud, around.get(i, point[:0]))
-                beside = beside[every_kth(len(beside), _MAX_AROUND)]
-                rings = [ring - origin for ring in polygons.rings(i)]
-                position_m = (*origin, ground_z_m[i])
-                building = Building(
-                    names[i],
-                    self._tile,
-                    (float(origin[0]), float(origin[1])),
-                    rings,
-                    _local(cloud, point, position_m),
-                    cloud.classification[point],
-                    float(ground_z_m[i]),
-                    stated_height_m[i],
-                    _local(cloud, beside, position_m),
-                )
-                dates = _dates(cloud, point)
-                source = str(ground.source[i]), float(ground.sd_m[i])
-                row = Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates, source)
-                (self._pending if is_pending[i] else batch).append(row)
-            self._store(batch)
-            progress(min(first + self._batch, len(features)))
+
+        def row(i: int) -> Row:
+            point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
+            beside = _in_order(cloud, around.get(i, point[:0]))
+            beside = beside[every_kth(len(beside), _MAX_AROUND)]
+            rings = [ring - origin for ring in polygons.rings(i)]
+            position_m = (*origin, ground_z_m[i])
+            building = Building(
+                names[i],
+                self._tile,
+                (float(origin[0]), float(origin[1])),
+                rings,
+                _local(cloud, point, position_m),
+                cloud.classification[point],
+                float(ground_z_m[i]),
+                stated_height_m[i],
+                _local(cloud, beside, position_m),
+            )
+            dates = _dates(cloud, point)
+            source = str(ground.source[i]), float(ground.sd_m[i])
+            return Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates, source)
+
+        self._pending += map(row, np.flatnonzero(is_pending).tolist())
+        self._start(Lazy(row, np.flatnonzero(~is_pending).tolist()), progress)
+        if self._num_processes == 1:
+            self._complete()
 
     def finish(self, num_counted: int | None = None) -> None:
         """Reconstruct the buildings whose ground is the median of the nearest ones with points, save triangles, and
         measure party walls. num_counted: of the rows, those whose triangles are limited; None for all."""
+        self._complete()
         known = np.flatnonzero(np.isfinite(self._ground_z_m))
         if len(known) and self._pending:
             place_m = np.array([row.building.origin_xy_m for row in self._pending])
@@ -156,8 +162,8 @@ class Rows:
             for k, ground_z_m in enumerate(np.median(self._ground_z_m[known][beside], axis=1).tolist()):
                 row = self._pending[k]
                 self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
-        for first in range(0, len(self._pending), self._batch):
-            self._store(self._pending[first : first + self._batch])
+        self._start(self._pending, lambda num_done: None)
+        self._complete()
         if self._config.max_triangles is not None:
             self._save_triangles(
                 self._config.max_triangles, self._num_rows if num_counted is None else num_counted
@@ -177,10 +183,9 @@ class Rows:
             return
         log.info("%d triangles more than reconstruct.max_triangles: once more at low detail", excess)
         low, savings = self._config.model_copy(update={"detail": "low"}), []
-        for first in range(0, num_counted, self._batch):
-            numbers = range(first, min(first + self._batch, num_counted))
-            rows = [self._results[self._num_rows + number] for number in numbers]
-            for number, simple in zip(numbers, self._results_of(rows, low), strict=True):
+        rows = Lazy(self._results.__getitem__, range(self._num_rows, self._num_rows + num_counted))
+        for _, done in self._shared(rows, low):
+            for number, simple in done:
                 before: Result = self._results[number]
                 saved = before.reconstruction.num_triangles - simple.reconstruction.num_triangles
                 if saved > 0 and before.measures is not None:
@@ -199,27 +204,38 @@ class Rows:
         reconstruction = self._results[number].reconstruction
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
-    def _store(self, rows: Sequence[Row]) -> None:
-        for row, result in zip(rows, self._results_of(rows, self._config), strict=True):
-            self._results[row.number] = result
-            if self._config.max_triangles is not None:
+    def _start(self, rows: Sequence[Row], progress: Callable[[int], object]) -> None:
+        """Complete what computes now, then let the other processes begin with these rows."""
+        self._complete()
+        if self._config.max_triangles is not None:
+            for row in rows:
                 self._results[self._num_rows + row.number] = row
+        self._current, self._progress = self._shared(rows, self._config), progress
 
-    def _results_of(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
-        return in_processes(lambda share: self._done(share, config), rows, self._num_processes)
+    def _complete(self) -> None:
+        """Do the rest of what was started, and store all results."""
+        num_done = 0
+        for part, results in self._current:
+            for number, result in results:
+                self._results[number] = result
+            num_done = max(num_done, (part + 1) * self._batch)
+            self._progress(num_done)
+        self._current = ()
 
-    def _done(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
-        """The results of these rows; without a network one after the other, so that the log has the time of each."""
-        size = 1 if self._predictor is None else max(len(rows), 1)
-        results: list[Result] = []
-        for first in range(0, len(rows), size):
-            start = time.perf_counter()
-            part = self._together(rows[first : first + size], config)
-            seconds = (time.perf_counter() - start) / len(part)
-            for each in part:
-                _log_building(each, seconds)
-            results += part
-        return results
+    def _shared(
+        self, rows: Sequence[Row], config: Reconstruct
+    ) -> Shared[Sequence[Row], list[tuple[int, Result]]]:
+        """The numbers and results of these rows in parts: without a network of one row each, so that the log has the
+        time of each."""
+        parts = [rows[first : first + self._batch] for first in range(0, len(rows), self._batch)]
+        return Shared(lambda part: self._done(list(part), config), parts, self._num_processes)
+
+    def _done(self, rows: Sequence[Row], config: Reconstruct) -> list[tuple[int, Result]]:
+        start = time.perf_counter()
+        results = self._together(rows, config)
+        for each in results:
+            _log_building(each, (time.perf_counter() - start) / len(rows))
+        return [(row.number, result) for row, result in zip(rows, results, strict=True)]
 
     def _together(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
         """The results of these rows, from the points that are their own. One whose footprint has another status than

@@ -97,6 +97,7 @@ def warm_product() -> None:
     from p2wss.fit import fitting
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
+    from p2wss.reconstruct.measures import party_wall_areas_m2
     from p2wss.reconstruct.pipeline import run
 
     features, cloud = sample()
@@ -112,6 +113,8 @@ def warm_product() -> None:
         fitting.fit([building], config)
     # only one with a short edge
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
+    # no two of the three touch
+    party_wall_areas_m2([results[0].reconstruction.mesh] * 2)
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
     exports.block([exports.mesh(result, config) for result in results], terrain, config)
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from multiprocessing import get_context
 
 import pytest
 
-from p2wss.reconstruct.processes import in_processes
+from p2wss.reconstruct.processes import Shared
 
 
 def with_all(num_processes: int) -> Callable[[], object]:
@@ -26,60 +26,77 @@ def with_all(num_processes: int) -> Callable[[], object]:
 
 @pytest.mark.parametrize("num_values", [0, 1, 2, 7])
 @pytest.mark.parametrize("num_processes", [1, 2, 3])
-def test_results_are_in_order_and_come_from_so_many_processes(num_values: int, num_processes: int) -> None:
+def test_each_value_has_one_result_and_they_come_from_so_many_processes(
+    num_values: int, num_processes: int
+) -> None:
     wait = with_all(max(min(num_values, num_processes), 1))
 
-    def function(values: Sequence[int]) -> list[tuple[int, int]]:
+    def function(value: int) -> tuple[int, int]:
         wait()
-        return [(2 * value, os.getpid()) for value in values]
+        return 2 * value, os.getpid()
 
-    result = in_processes(function, range(num_values), num_processes)
-    assert [value for value, _ in result] == [2 * value for value in range(num_values)]
-    assert len({process for _, process in result}) == min(num_values, num_processes)
+    results = list(Shared(function, range(num_values), num_processes))
+    assert sorted((number, twice) for number, (twice, _) in results) == [
+        (value, 2 * value) for value in range(num_values)
+    ]
+    assert len({process for _, (_, process) in results}) == min(num_values, num_processes)
 
 
 def test_a_process_takes_what_no_other_has_taken() -> None:
     wait, parent = with_all(2), os.getpid()
     slow_done = get_context("fork").Event()
 
-    def function(values: Sequence[int]) -> list[int]:
+    def function(value: int) -> int:
         wait()
         if os.getpid() == parent:
             assert slow_done.wait(60)
-        elif values[-1] == 6:
+        elif value == 6:
             slow_done.set()
-        return [os.getpid()]
+        return os.getpid()
 
     # the other process does all but the first of this one
-    assert in_processes(function, range(7), 2).count(parent) == 1
+    assert list(dict(Shared(function, range(7), 2)).values()).count(parent) == 1
+
+
+def test_forks_do_all_while_this_process_does_something_else() -> None:
+    all_done = get_context("fork").Event()
+
+    def function(value: int) -> int:
+        if value == 6:
+            all_done.set()
+        return os.getpid()
+
+    shared = Shared(function, range(7), 2)
+    assert all_done.wait(60)
+    assert os.getpid() not in dict(shared).values()
 
 
 def test_more_than_a_pipe_holds() -> None:
-    result = in_processes(lambda values: [bytes([value]) * 1_000_000 for value in values], range(4), 2)
-    assert [content[-1] for content in result] == [0, 1, 2, 3]
+    result = dict(Shared(lambda value: bytes([value]) * 1_000_000, range(4), 2))
+    assert [result[number][-1] for number in range(4)] == [0, 1, 2, 3]
 
 
 def test_error_in_a_fork() -> None:
     wait, parent = with_all(2), os.getpid()
 
-    def function(values: Sequence[int]) -> list[int]:
+    def function(value: int) -> int:
         wait()
         if os.getpid() != parent:
             raise ZeroDivisionError("of the fork")
-        return list(values)
+        return value
 
     with pytest.raises(ZeroDivisionError, match="of the fork"):
-        in_processes(function, range(4), 2)
+        list(Shared(function, range(4), 2))
 
 
 def test_killed_fork() -> None:
     wait, parent = with_all(2), os.getpid()
 
-    def function(values: Sequence[int]) -> list[int]:
+    def function(value: int) -> int:
         wait()
         if os.getpid() != parent:
             os.kill(os.getpid(), signal.SIGKILL)
-        return list(values)
+        return value
 
     with pytest.raises(EOFError):
-        in_processes(function, range(4), 2)
+        list(Shared(function, range(4), 2))
