@@ -38,7 +38,7 @@ from p2wss.cli.towns import ROOFS
 from p2wss.clouds.reading import read_clouds
 from p2wss.mesh.surface import topmost
 from p2wss.towns import FOOTPRINTS, LIDAR
-from p2wss.towns.old import TROUBLES
+from p2wss.towns.old import TROUBLES, hillside_z_m
 
 SEED = 101
 CELL_M = 0.25
@@ -93,6 +93,9 @@ def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.
     true_z = true[is_true]
     lowest_z = np.quantile(true_z[true_z > true_z.min() + 0.3] if row["kind"] == "shaft" else true_z, 0.1)
     row["ground above roof"] = building.attributes["ground_z_m"] > lowest_z - 0.5
+    row["ground_m"] = (
+        building.attributes["ground_z_m"] - hillside_z_m(*shapely.get_coordinates(footprint).T).mean()
+    )
     row["shafts"] = row["found"] = row["false shafts"] = row["slabs"] = row["too long"] = row["above"] = 0
     # without the cells at walls that the map has elsewhere
     inner = raster.inside & ndimage.binary_erosion(is_true, _disc(0.5))
@@ -166,7 +169,7 @@ def main() -> int:
         "".ljust(16)
         + "buildings, not ok, not representable, not reliable, "
         + ", ".join(titles)
-        + ", error m"
+        + ", error m, rms of ground m"
     )
     for name, members in groups.items():
         values = {
@@ -176,6 +179,7 @@ def main() -> int:
             "not reliable": sum(not row["is_reliable"] for row in members),
             **{title: int(sum(row[title] for row in members)) for title in titles},
             "error, m": float(np.nanmedian([row["error_m"] for row in members])),
+            "ground, m": float(np.sqrt(np.nanmean([row["ground_m"] ** 2 for row in members]))),
         }
         print(name.ljust(16) + "".join(f"{value:8.3g}" for value in values.values()))
         figures.row(name, values)

@@ -11,17 +11,24 @@ import shapely
 from p2wss.clouds.cropping import crop_points, ring_medians
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.las_classes import (
+    BUILDING_CLASS,
+    GROUND_CLASS,
+    NOISE_CLASSES,
+    PLANT_CLASSES,
+    WATER_CLASS,
+)
 from p2wss.skeleton.types import Polygons
 
-# distances from the footprint within which ground points are searched, the next one if there are too few
-GROUND_RINGS_M = (1.0, 4.0, 16.0, 64.0)
+# metres from the footprint within which points of class ground are searched, then the lowest points, each time the next
+# one if there are too few; all that is known of a building is so far from it
+_GROUND_RINGS_M, LOWEST_RINGS_M, GROUND_REACH_M = (1.0, 4.0), (32.0, 52.0), 64.0
 _MIN_GROUND_POINTS = 5
-_LOW_PERCENTILE = 5.0
-# points of the ground further away show its slope, for which so many suffice
-_NEAR_M, _NUM_BETWEEN = 4.0, 1000
-# of the share of a corner of a triangle
-_ROUNDING = 1e-9
+# the lowest points are those of squares with this side; the share of them that the ground is above of, the others being
+# on roofs where no ground is seen; the distance in metres within which they count the same, and the variance of places,
+# square metres, below which they show no slope; chosen on drawn old towns
+_SQUARE_M, _BELOW_SHARE, _SAME_M, _NO_SLOPE_M2 = 8.0, 0.3, 8.0, 1.0
+_NUM_ROUNDS, _NOISE_M = 10, 0.05
 # quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
 _FOOT_QUANTILE = 0.02
 # points per square metre: a building with fewer needs what the roofs so far around it show
@@ -50,7 +57,7 @@ class CloudCrops:
 def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> CloudCrops:
     """The points of ``cloud`` inside or within ``buffer_m`` of each polygon. polygons: in the CRS of the cloud."""
     point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
-    first_ring = (point, inside, offset) if buffer_m == GROUND_RINGS_M[0] else None
+    first_ring = (point, inside, offset) if buffer_m == _GROUND_RINGS_M[0] else None
     ground_z_m = ground_height(cloud, polygons, first_ring)
     for p in np.flatnonzero(np.isnan(ground_z_m) & (np.diff(offset) > 0)):
         ground_z_m[p] = np.quantile(cloud.z_m[point[offset[p] : offset[p + 1]]], _FOOT_QUANTILE)
@@ -80,72 +87,60 @@ def ground_height(
     """z of the ground around each polygon, float64 (num_polygons,); NaN if the cloud has no ground there.
 
     It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it, or at most 4 m
-    away if these are fewer than five. If there are few again, it lies :func:`between` those at most 16 m away, or 64 m
-    (where one is enough): on a slope, they may all be above or below. Without class 2 that near, it is the 5 %
-    percentile of all the points in the first of these rings that has as many. first_ring: the result of
-    :func:`crop_points` for 1 m, if it is at hand.
+    away if these are fewer than five. If there are few again, it is the :func:`low_height` of the lowest points at most
+    32 m away, or 52 m (where one is enough), whatever their class. first_ring: the result of :func:`crop_points` for
+    1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
     result = np.full(len(polygons), np.nan)
     pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
-    if is_ground.any():
-        pending = _fill_from_rings(result, pending, cloud, polygons, is_ground, first_ring)
-    # decided for each building, because the points that are read depend on the other buildings of a run
-    _fill_from_rings(result, pending, cloud, polygons, None, first_ring)
+    for distance_m in _GROUND_RINGS_M if is_ground.any() else ():
+        if first_ring is not None and distance_m == _GROUND_RINGS_M[0] and len(pending) == len(polygons):
+            crop = first_ring
+        else:
+            some = polygon_arrays.take(polygons, pending)
+            crop = crop_points(cloud.x_m, cloud.y_m, some, distance_m, is_ground)
+        counts, height_m = ring_medians(cloud.z_m, is_ground, *crop)
+        is_enough = counts >= _MIN_GROUND_POINTS
+        result[pending[is_enough]] = height_m[is_enough]
+        pending = pending[~is_enough]
+    lowest = lowest_points(cloud) if len(pending) else pending
+    for distance_m in LOWEST_RINGS_M:
+        some = polygon_arrays.take(polygons, pending)
+        point, inside, offset = crop_points(cloud.x_m[lowest], cloud.y_m[lowest], some, distance_m)
+        for k, p in enumerate(pending.tolist()):
+            pairs = slice(offset[k], offset[k + 1])
+            around = lowest[point[pairs][~inside[pairs]]]
+            if len(around) >= (1 if distance_m == LOWEST_RINGS_M[-1] else _MIN_GROUND_POINTS):
+                result[p] = low_height(cloud, around, polygons.rings(p)[0])
+        pending = pending[np.isnan(result[pending])]
     return result
 
 
-def between(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:
-    """Mean z at places (k, 2) on the triangles between points of a cloud, indices (m,); that of the point nearest to
-    the first place if all are outside the triangles."""
-    point = point[:: len(point) // _NUM_BETWEEN + 1]
-    off_m = np.column_stack([cloud.x_m[point] - xy_m[0, 0], cloud.y_m[point] - xy_m[0, 1], cloud.z_m[point]])
-    # scipy takes longer to import than all places to be found
-    triangles = shapely.delaunay_triangles(shapely.multipoints(off_m))
-    corner_m = shapely.get_coordinates(triangles, include_z=True).reshape(-1, 4, 3)[:, :3]
-    to_share = np.linalg.inv(corner_m[:, 1:, :2] - corner_m[:, :1, :2])
-    share = np.einsum("ntj,tji->nti", (xy_m - xy_m[0])[:, None] - corner_m[:, 0, :2], to_share)
-    share = np.dstack([1.0 - share.sum(axis=2), share])
-    is_within = np.asarray((share >= -_ROUNDING).all(axis=2))
-    if is_within.any():
-        place = np.flatnonzero(is_within.any(axis=1))
-        triangle = is_within[place].argmax(axis=1)
-        return float((share[place, triangle] * corner_m[triangle, :, 2]).sum(axis=1).mean())
-    return float(off_m[np.hypot(*off_m[:, :2].T).argmin(), 2])
+def lowest_points(cloud: Cloud) -> np.ndarray:
+    """Indices of the lowest points of a cloud, one of each square of its plan, without plants, noise, and water."""
+    solid = np.flatnonzero(~np.isin(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS)))
+    x, y, z = cloud.x_m[solid], cloud.y_m[solid], cloud.z_m[solid]
+    square = np.floor(x / _SQUARE_M) + 1j * np.floor(y / _SQUARE_M)
+    order = np.lexsort([y, x, z, square])
+    return np.asarray(solid[order[np.unique(square[order], return_index=True)[1]]])
 
 
-def _fill_from_rings(
-    result: np.ndarray,
-    pending: np.ndarray,
-    cloud: Cloud,
-    polygons: Polygons,
-    is_ground: np.ndarray | None,
-    first_ring: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
-) -> np.ndarray:
-    """Fill the ground of the polygons ``pending`` into ``result``, and return those that have no points either.
+def low_height(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:
+    """Mean z, in whole millimetres, at places (k, 2) of the ground below points of a cloud, indices (m,): the plane
+    that a share of them is below of, those that are near counting more. It is found by reweighted least squares.
 
-    is_ground: bool (num_points,), the points whose median it is; None for the low percentile of all points.
+    The ground of a hillside is neither the mean nor the lowest of the points that are seen of it.
     """
-    for distance_m in GROUND_RINGS_M:
-        if not len(pending):
-            break
-        if first_ring is not None and distance_m == GROUND_RINGS_M[0] and len(pending) == len(polygons):
-            point, inside, offset = first_ring
-        else:
-            point, inside, offset = crop_points(
-                cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, pending), distance_m, is_ground
-            )
-        among = np.ones(len(cloud), bool) if is_ground is None else is_ground
-        counts, height_m = ring_medians(cloud.z_m, among, point, inside, offset)
-        is_enough = counts >= (1 if distance_m == GROUND_RINGS_M[-1] else _MIN_GROUND_POINTS)
-        if is_ground is None or distance_m > _NEAR_M:
-            for p in np.flatnonzero(is_enough):
-                pairs = slice(offset[p], offset[p + 1])
-                around = point[pairs][~inside[pairs]]
-                if is_ground is None:
-                    height_m[p] = np.percentile(cloud.z_m[around], _LOW_PERCENTILE)
-                else:
-                    height_m[p] = between(cloud, around, polygons.rings(pending[p])[0])
-        result[pending[is_enough]] = height_m[is_enough]
-        pending = pending[~is_enough]
-    return pending
+    off_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], np.ones(len(point))])
+    off_m[:, :2] -= xy_m.mean(axis=0)
+    z, base_z = cloud.z_m[point], cloud.z_m[point].min()
+    near = 1 / (off_m[:, 0] ** 2 + off_m[:, 1] ** 2 + _SAME_M**2)
+    plane = np.array([0.0, 0.0, np.quantile(z, _BELOW_SHARE) - base_z])
+    for _ in range(_NUM_ROUNDS):
+        above_m = z - base_z - off_m @ plane
+        side = np.where(above_m > 0, _BELOW_SHARE, 1 - _BELOW_SHARE)
+        weighted = off_m.T * (near * side / np.maximum(np.abs(above_m), _NOISE_M))
+        keep = np.diag([_NO_SLOPE_M2, _NO_SLOPE_M2, 0.0]) * weighted[2].sum()
+        plane = np.linalg.solve(weighted @ off_m + keep, weighted @ (z - base_z))
+    return float(np.round(plane[2] + base_z, 3))

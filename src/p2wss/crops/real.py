@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
+from p2wss.clouds.crops import GROUND_REACH_M, crop_cloud
 from p2wss.clouds.reading import read_clouds
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
@@ -69,7 +69,7 @@ def crop_real(
 def _window(polygons: Polygons, tile_bounds: tiling.Bounds) -> tiling.Bounds:
     """Bounds of the points to read: the polygons (the tile if there are none) and the ground around them."""
     if not len(polygons.xy_m):
-        return tiling.grown(tile_bounds, GROUND_RINGS_M[-1])
+        return tiling.grown(tile_bounds, GROUND_REACH_M)
     low, high = polygons.xy_m.min(axis=0), polygons.xy_m.max(axis=0)
     bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    return tiling.grown(bounds, GROUND_RINGS_M[-1])
+    return tiling.grown(bounds, GROUND_REACH_M)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from p2wss.clouds.crops import GROUND_RINGS_M
+from p2wss.clouds.crops import GROUND_REACH_M
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
@@ -29,7 +29,7 @@ from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
 # a building depends on points up to so far from its footprint, which may move and turn
-MARGIN_M = GROUND_RINGS_M[-1] + 2 * MAX_SHIFT_M
+MARGIN_M = GROUND_REACH_M + 2 * MAX_SHIFT_M
 # and those that only take part in its registration on points up to so far from theirs
 _AROUND_MARGIN_M = 16.0
 # footprints this near may share walls
@@ -188,7 +188,7 @@ def window(features: Features) -> Bounds:
     """The bounds that a cloud must cover: the footprints and the ground around them."""
     if not len(features):
         return 0.0, 0.0, 0.0, 0.0
-    return grown(shapely.total_bounds(features.geometry).tolist(), GROUND_RINGS_M[-1])
+    return grown(shapely.total_bounds(features.geometry).tolist(), GROUND_REACH_M)
 
 
 def in_tile(features: Features, tile: str | None, tile_size_m: float) -> np.ndarray:

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.crops import CloudCrops, between
+from p2wss.clouds.crops import LOWEST_RINGS_M, CloudCrops, low_height, lowest_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, PLANT_CLASSES
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.terrain import Terrain
 from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
-AROUND, BELOW, TERRAIN, LOWEST, STOREY = "around", "below", "terrain", "lowest-points", "storey"
+AROUND, TERRAIN, LOWEST, STOREY = "around", "terrain", "lowest-points", "storey"
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,7 @@ class Rules:
     lowest_roof_m, storey_m: the lowest roof is at least this high, and a storey if nothing else is known.
     low_quantile: of the heights of a building's points; lower ones may be of a shaft, or of a neighbour's roof.
     roof_share: of a building's points that show its roof if they have class building, or else all of them do. step_m:
-    they are no ground where the points beside are so far below. around_m: where other ground is searched.
-    min_own_points, min_points: that show a roof, and the ground. lowest_share: of the points around that may be ground.
+    they are no ground where the points beside are so far below. min_own_points: that show a roof.
     terrain_sd_m, storey_sd_m: expected standard deviations without points of the ground.
     """
 
@@ -36,10 +35,7 @@ class Rules:
     low_quantile: float = 0.05
     roof_share: float = 0.2
     step_m: float = 2.0
-    around_m: float = 16.0
     min_own_points: int = 5
-    min_points: int = 5
-    lowest_share: float = 0.02
     terrain_sd_m: float = 0.5
     storey_sd_m: float = 3.0
 
@@ -61,8 +57,8 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
     """The ground of buildings. That of one without points is the mean of the terrain at the vertices of the footprint.
 
     The ground around a footprint is not that of the building if the points on its roof are lower: then the ground is
-    that of the points of class ground around which are below the roof, the terrain, the lowest points around, or a
-    storey below the roof, the first that is below it.
+    the terrain, that of the lowest points around which are below the roof, or a storey below the roof, the first that
+    is below it.
     """
     count = len(cropped.ground_z_m)
     z_m, sd_m = cropped.ground_z_m.copy(), np.full(count, np.nan)
@@ -94,22 +90,18 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
     is_empty = (np.diff(cropped.offset) == 0) & np.isfinite(terrain_z)
     z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, RULES.terrain_sd_m
     too_high = np.flatnonzero(z_m > highest_z)
-    is_ground = cloud.classification == GROUND_CLASS
-    point, _, offset = crop_points(
-        cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, too_high), RULES.around_m
+    lowest = lowest_points(cloud) if len(too_high) else too_high
+    around, _, offset = crop_points(
+        cloud.x_m[lowest], cloud.y_m[lowest], polygon_arrays.take(polygons, too_high), LOWEST_RINGS_M[0]
     )
     for k, p in enumerate(too_high.tolist()):
-        around = point[offset[k] : offset[k + 1]]
-        low = around[cloud.z_m[around] < highest_z[p]]
-        ground = low[is_ground[low]]
-        if len(ground) >= RULES.min_points:
-            z_m[p] = min(between(cloud, ground, polygons.rings(p)[0]), highest_z[p])
-            source[p], sd_m[p] = BELOW, np.std(cloud.z_m[ground])
-        elif terrain_z[p] < highest_z[p]:
+        low = lowest[around[offset[k] : offset[k + 1]]]
+        low = low[cloud.z_m[low] < highest_z[p]]
+        if terrain_z[p] < highest_z[p]:
             z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, RULES.terrain_sd_m
-        elif len(low) >= RULES.min_points:
-            z_m[p], source[p] = np.quantile(cloud.z_m[low], RULES.lowest_share), LOWEST
-            sd_m[p] = z_m[p] - cloud.z_m[low].min() + RULES.terrain_sd_m
+        elif len(low):
+            z_m[p] = min(low_height(cloud, low, polygons.rings(p)[0]), highest_z[p])
+            source[p], sd_m[p] = LOWEST, np.std(cloud.z_m[low])
         else:
             z_m[p] = highest_z[p] - RULES.storey_m + RULES.lowest_roof_m
             source[p], sd_m[p] = STOREY, RULES.storey_sd_m

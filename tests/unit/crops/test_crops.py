@@ -174,8 +174,19 @@ def test_ground_on_a_slope_lies_between_what_is_above_and_below():
     downhill = grid_cloud(slope, (30, 52), (40, 90), 2.0)
     polygons = polygon_arrays.to_polygons([box])
     assert ground_height(join(uphill, downhill), polygons)[0] == pytest.approx(0.3 * 65, abs=0.1)
-    # points on a line, or all on one side, have nothing between them: the nearest counts
-    assert ground_height(downhill, polygons)[0] == pytest.approx(0.3 * 50, abs=1.0)
+    # the slope goes on where all are on one side
+    assert ground_height(downhill, polygons)[0] == pytest.approx(0.3 * 65, abs=0.5)
+
+
+def test_ground_of_a_hillside_between_roofs():
+    """Ground is seen in every other square, without class; there are roofs on the rest, and a pit."""
+    box = shapely.box(64, 64, 72, 72)
+    slope = grid_cloud(lambda u, v: 100 + 0.2 * u - 0.1 * v, (24, 112), (24, 112), 2.0, classes=1)
+    square = (slope.x_m // 8 + slope.y_m // 8) % 2
+    is_pit = (slope.x_m // 8 == 7) & (slope.y_m // 8 == 8)
+    slope.z_m[:] += np.where(is_pit, -4.0, np.where(square > 0, 9.0, 0.0))
+    found = ground_height(slope, polygon_arrays.to_polygons([box]))[0]
+    assert found == pytest.approx(100 + 0.2 * 68 - 0.1 * 68, abs=0.2)
 
 
 def test_ground_without_classes_is_low():

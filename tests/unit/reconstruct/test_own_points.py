@@ -239,7 +239,7 @@ def test_the_ground_is_never_above_the_own_points() -> None:
         return float(ground.z_m[0]), str(ground.source[0])
 
     assert found(cloud_of(45.0, uphill)) == (40.0, "around")
-    assert found(cloud_of(28.0, np.vstack([uphill, downhill]))) == (20.0, "below")
+    assert found(cloud_of(28.0, np.vstack([uphill, downhill]))) == (20.0, "lowest-points")
     assert found(cloud_of(28.0, uphill), terrain) == (22.0, "terrain")
     assert found(cloud_of(28.0, uphill)) == (25.0, "storey")
     low = cloud_of(28.0, np.vstack([uphill, downhill]))
