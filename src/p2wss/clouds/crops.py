@@ -88,8 +88,8 @@ def ground_height(
 
     It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it, or at most 4 m
     away if these are fewer than five. If there are few again, it is the :func:`low_height` of the lowest points at most
-    32 m away, or 52 m (where one is enough), whatever their class. first_ring: the result of :func:`crop_points` for
-    1 m, if it is at hand.
+    32 m away, or 52 m (where one is enough), of ground or without class. first_ring: the result of :func:`crop_points`
+    for 1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
     result = np.full(len(polygons), np.nan)
@@ -118,8 +118,10 @@ def ground_height(
 
 
 def lowest_points(cloud: Cloud) -> np.ndarray:
-    """Indices of the lowest points of a cloud, one of each square of its plan, without plants, noise, and water."""
-    solid = np.flatnonzero(~np.isin(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS)))
+    """Indices of the lowest points, one of each square of the plan of a cloud, without plants, roofs, noise and water."""
+    solid = np.flatnonzero(
+        ~np.isin(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS, BUILDING_CLASS))
+    )
     x, y, z = cloud.x_m[solid], cloud.y_m[solid], cloud.z_m[solid]
     square = np.floor(x / _SQUARE_M) + 1j * np.floor(y / _SQUARE_M)
     order = np.lexsort([y, x, z, square])

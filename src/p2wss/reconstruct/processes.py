@@ -12,13 +12,16 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+# numbers in a pipe, of 4 bytes each: a quarter of what one holds
+_MAX_PIPED = 4096
+
 S = TypeVar("S")
 T = TypeVar("T")
 
 
 class Shared(Generic[S, T]):
     """``function`` of each value: by forks of this process from now on, and by this one where it iterates over the
-    results; ``num_processes`` in all, each of which takes the next value that none has taken.
+    results; ``num_processes`` in all, each of which takes the next value, or few values, that none has taken.
 
     The iteration is for once. It gives the numbers of values and their results, its own ascending, then those of the
     forks. These have all that this process has in memory, but lack the threads of torch. An error of the function is
@@ -28,9 +31,10 @@ class Shared(Generic[S, T]):
     def __init__(self, function: Callable[[S], T], values: Sequence[S], num_processes: int) -> None:
         self._function, self._values = function, values
         context = get_context("fork")
-        # a pipe gives each of its numbers to one reader, whichever comes first
+        # a pipe gives each of its numbers to one reader, whichever comes first, and holds all of them before that
         self._numbers, source = os.pipe()
-        os.write(source, np.arange(len(values), dtype="<u2").tobytes())
+        self._step = len(values) // _MAX_PIPED + 1
+        os.write(source, np.arange(0, len(values), self._step, dtype="<u4").tobytes())
         os.close(source)
         self._receivers: list[Connection] = []
         for _ in range(1, min(num_processes, len(values))):
@@ -51,9 +55,10 @@ class Shared(Generic[S, T]):
 
     def _own(self) -> Iterator[tuple[int, T]]:
         """The numbers of the values that this process takes, and their results."""
-        for content in iter(partial(os.read, self._numbers, 2), b""):
-            number = int.from_bytes(content, "little")
-            yield number, self._function(self._values[number])
+        for content in iter(partial(os.read, self._numbers, 4), b""):
+            first = int.from_bytes(content, "little")
+            for number in range(first, min(first + self._step, len(self._values))):
+                yield number, self._function(self._values[number])
 
     def _send(self, receiver: Connection, sender: Connection) -> None:
         # without a reader, the pipe of a process that was killed is broken, and this one ends

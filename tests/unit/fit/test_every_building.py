@@ -175,7 +175,7 @@ def test_a_building_that_one_roof_cannot_describe_is_flagged() -> None:
 def test_batches_and_progress_change_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     config = Reconstruct(roofs="parametric")
     whole = scene.results(Oracle(), config)
-    monkeypatch.setattr(pipeline, "_BATCH", 4)
+    monkeypatch.setattr(pipeline, "_NETWORK_BATCH", 4)
     parts = scene.results(Oracle(), config)
     assert list(whole) == list(parts)
     for name, result in whole.items():

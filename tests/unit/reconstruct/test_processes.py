@@ -76,6 +76,10 @@ def test_more_than_a_pipe_holds() -> None:
     assert [result[number][-1] for number in range(4)] == [0, 1, 2, 3]
 
 
+def test_more_values_than_a_pipe_holds_numbers() -> None:
+    assert dict(Shared(lambda value: -value, range(70_000), 2)) == {n: -n for n in range(70_000)}
+
+
 def test_error_in_a_fork() -> None:
     wait, parent = with_all(2), os.getpid()
 
