@@ -118,7 +118,7 @@ def ground_height(
 
 
 def lowest_points(cloud: Cloud) -> np.ndarray:
-    """Indices of the lowest points, one of each square of the plan of a cloud, without plants, roofs, noise and water."""
+    """Indices of the lowest points of a cloud, one of each square, without plants, roofs, noise and water."""
     solid = np.flatnonzero(
         ~np.isin(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS, BUILDING_CLASS))
     )
