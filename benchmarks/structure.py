@@ -30,6 +30,7 @@ from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.product import reconstruct_buildings
+from p2wss.reconstruct.scene import Scene
 from p2wss.towns import FOOTPRINTS, LIDAR
 from p2wss.towns.wings import SHAPES
 
@@ -38,10 +39,15 @@ SEEDS = (101, 102)
 FEW = (80, 40, 20, 10)
 
 
+def drawn(seed: int, folder: Path) -> Scene:
+    """Draw a town into a folder, and read its true roofs."""
+    command(["towns", "--kind", "wings", "--lidar", "--seed", str(seed), "--out", str(folder)])
+    return p2wss.read(folder / ROOFS)
+
+
 def of_few_points(seed: int, folder: Path) -> dict[int, list[dict[str, Any]]]:
     """By the number of points on each house, a row per building of a town: its structure and triangles."""
-    command(["towns", "--kind", "wings", "--lidar", "--seed", str(seed), "--out", str(folder)])
-    truth, config = p2wss.read(folder / ROOFS), Config()
+    truth, config = drawn(seed, folder), Config()
     buildings = real.read_files(folder / FOOTPRINTS, [folder / LIDAR], "town", config)
     rows: dict[int, list[dict[str, Any]]] = {}
     for num_points in FEW:
@@ -57,8 +63,7 @@ def of_few_points(seed: int, folder: Path) -> dict[int, list[dict[str, Any]]]:
 
 def measured(seed: int, folder: Path) -> list[dict[str, Any]]:
     """A row per building of a town: its shape, its structure (None without a mesh), roof CD, triangles."""
-    command(["towns", "--kind", "wings", "--lidar", "--seed", str(seed), "--out", str(folder)])
-    truth = p2wss.read(folder / ROOFS)
+    truth = drawn(seed, folder)
     scene = p2wss.reconstruct(folder / LIDAR, folder / FOOTPRINTS, model="none", progress=False)
     table = p2wss.evaluate(scene, folder / FOOTPRINTS, folder / LIDAR)
     rows = []

@@ -159,15 +159,15 @@ class Drawing(NamedTuple):
     # directions of the footprint in which steps are sought, the longest first
     num_directions: int = 4
 
-    def for_density(self, per_m2: float) -> Drawing:
-        """The settings where sparse points show the borders of planes from further away."""
+    def for_density(self, per_m2: float, sparse_per_m2: float) -> Drawing:
+        """The settings where points show the borders of planes from further away. sparse_per_m2: of the detection."""
         gap_m = per_m2**-0.5
         return self._replace(
             near_m=max(self.near_m, self.num_gaps * gap_m),
             reach_m=max(self.reach_m, self.num_gaps * gap_m),
             off_m=max(self.off_m, self.off_gaps * gap_m),
             snap_m=max(self.snap_m, self.snap_gaps * gap_m),
-            snaps_meets=per_m2 < Detection().sparse_per_m2,
+            snaps_meets=per_m2 < sparse_per_m2,
         )
 
 

@@ -96,7 +96,7 @@ def fit_planes(
         return None
     plane = regular(found, point_m, along, settings.detection)
     corner_m = np.concatenate(rings)
-    drawing = settings.drawing.for_density(density)
+    drawing = settings.drawing.for_density(density, settings.detection.sparse_per_m2)
     top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
     slope = plane[found.label[top], :2]
     is_sparse = density < settings.prices.few_per_m2

@@ -19,13 +19,17 @@ from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import Line, lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import at_pinch, solid_below
-from p2wss.fit.settings import Planes
+from p2wss.fit.settings import Drawing, Planes
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas, is_closed, unit_normals
 from p2wss.skeleton import FaceKind
 
 PLANES = Planes()
 SLOPE = np.tan(np.radians(40))
+
+
+def drawing_for(per_m2: float) -> Drawing:
+    return PLANES.drawing.for_density(per_m2, PLANES.detection.sparse_per_m2)
 
 
 def sampled(rings: list[np.ndarray], plane: np.ndarray, seed: int, density: float = 12.0) -> np.ndarray:
@@ -399,7 +403,7 @@ def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
 
 @pytest.mark.parametrize(("per_m2", "is_dense"), [(12.0, True), (4.0, True), (1.0, False), (0.1, False)])
 def test_lines_and_prices_change_only_where_points_are_far_apart(per_m2: float, is_dense: bool) -> None:
-    drawing, prices = PLANES.drawing.for_density(per_m2), PLANES.prices.for_density(per_m2)
+    drawing, prices = drawing_for(per_m2), PLANES.prices.for_density(per_m2)
     assert (drawing == PLANES.drawing) is is_dense
     assert (prices.edge_m2 == PLANES.prices.edge_m2) is is_dense
 
@@ -410,7 +414,7 @@ def test_planes_meet_on_a_line_that_is_far_from_all_of_few_points() -> None:
     point_m = np.column_stack([xy_m, heights(plane, xy_m).min(axis=1)])
     label = (xy_m[:, 1] > 0).astype(int)
     found = {
-        density: lines_of(rings, plane, label, point_m, [0.0], PLANES.drawing.for_density(density))
+        density: lines_of(rings, plane, label, point_m, [0.0], drawing_for(density))
         for density in (4.0, len(xy_m) / 96)
     }
     num_ridges = {
@@ -429,7 +433,7 @@ def test_lines_that_few_points_cannot_tell_apart_are_one() -> None:
     plane = np.array([[0.0, 0.0, 4.0], [0.0, 0.0, 8.0], [0.0, 0.0, 6.0]])
     xy_m[:, 0] += np.where(xy_m[:, 1] > 0, 0.0, 0.6)
     point_m = np.column_stack([xy_m, plane[label, 2]])
-    drawing = PLANES.drawing.for_density(len(xy_m) / 400)
+    drawing = drawing_for(len(xy_m) / 400)
     num_lines = [
         len(lines_of(rings, plane, label, point_m, [0.0], each))
         for each in (drawing._replace(snap_m=PLANES.drawing.snap_m), drawing)
@@ -444,8 +448,8 @@ def test_ridges_that_few_points_do_not_tell_apart_are_on_one_line() -> None:
     label = np.where(xy_m[:, 0] < 0.1, 0, np.where(xy_m[:, 1] < 0, 2, 1))
     plane = np.array([[1.0, 0.0, 14.0], [-1.0, 0.0, 14.0], [-1.0, 0.0, 14.4]])
     point_m = np.column_stack([xy_m, height_over(plane, label, xy_m)])
-    drawing = PLANES.drawing.for_density(len(xy_m) / 400)
-    assert drawing.snaps_meets and not PLANES.drawing.for_density(4.0).snaps_meets
+    drawing = drawing_for(len(xy_m) / 400)
+    assert drawing.snaps_meets and not drawing_for(4.0).snaps_meets
     ridges_m = [
         {round(line.offset_m, 6) for line in lines_of(rings, plane, label, point_m, [0.0], each)}
         for each in (drawing._replace(snaps_meets=False), drawing)
