@@ -14,7 +14,6 @@ _PAPER_DECODING = {
 }
 _NO_AUGMENTATION = {
     "augmentation": {
-        "mirror": False,
         "scale": [1, 1],
         "lift_m": 0,
         "jitter_m": 0,
@@ -53,7 +52,6 @@ class Ablation(Section):
             "one_view": {"decoding": {"num_rotations": 1}},
             "losses_of_paper": _PAPER_LOSSES,
             "no_augmentation": _NO_AUGMENTATION,
-            "no_mirror": {"augmentation": {"mirror": False}},
             "no_occlusion": {"augmentation": {"occlusion_share": 0}},
             "all_auxiliary": {"auxiliary_share": 1},
             "no_ground": {"ground_relative": False},

@@ -44,7 +44,6 @@ class Augmentation(Section):
     """Random changes of each training sample, in addition to the paper's rotation."""
 
     neutral: ClassVar = {"on_building_share": 0.0}
-    mirror: bool = Field(True, description="mirror half of the samples")
     scale: tuple[float, float] = Field(
         (0.8, 1.25), description="range of the scale applied to the whole building; [1, 1] = off"
     )

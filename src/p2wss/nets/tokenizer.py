@@ -226,23 +226,5 @@ def roll_index(start: Tensor, num_vertices: Tensor, n: int) -> Tensor:
     return (start[:, None] + torch.arange(n, device=start.device)) % num_vertices[:, None].clamp(min=1)
 
 
-def mirror_rings(xy: Tensor, angle: Tensor, num_vertices: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
-    """Mirror the chosen rings at x = 0 and keep them counter-clockwise with each angle at its edge.
-
-    Vertex i becomes the old vertex n - 1 - i, so that edge i is the old edge n - 2 - i, backwards.
-    """
-    n = xy.shape[1]
-    count = num_vertices[:, None]
-    position = torch.arange(n, device=xy.device)
-    inside = position < count
-    vertex = torch.where(inside, count - 1 - position, position)
-    edge = torch.where(inside, (count - 2 - position) % count.clamp(min=1), position)
-    flipped = xy.gather(1, vertex[..., None].expand(-1, -1, 2)) * xy.new_tensor([-1, 1])
-    return (
-        torch.where(chosen[:, None, None], flipped, xy),
-        torch.where(chosen[:, None], angle.gather(1, edge), angle),
-    )
-
-
 def _inside(num_vertices: Tensor, n: int) -> Tensor:
     return torch.arange(n, device=num_vertices.device) < num_vertices[:, None]

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from p2wss.nets.batch import Batch
-from p2wss.nets.tokenizer import mirror_rings
 
 _HALF_WEDGE_DEG = (5, 30)  # half the width of a wedge without points
 
@@ -29,15 +28,6 @@ def rotate(batch: Batch, theta: Tensor) -> Batch:
 def rotate_randomly(batch: Batch) -> Batch:
     """Rotate each building by a random angle about the vertical through the origin."""
     return rotate(batch, 2 * math.pi * torch.rand(len(batch.points), device=batch.points.device))
-
-
-def mirror_randomly(batch: Batch) -> Batch:
-    """Mirror half of the samples at x = 0; rings stay counter-clockwise, angles stay at their edges."""
-    chosen = torch.rand(len(batch.points), device=batch.points.device) < 0.5
-    sign = torch.where(chosen, -1.0, 1.0)[:, None]
-    xy, angle = mirror_rings(batch.xy, batch.angle, batch.num_vertices, chosen)
-    points = torch.cat([batch.points[..., :1] * sign[..., None], batch.points[..., 1:]], -1)
-    return replace(batch, points=points, xy=xy, angle=angle)
 
 
 def scale_randomly(batch: Batch, ratio: tuple[float, float]) -> Batch:

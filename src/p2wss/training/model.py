@@ -164,7 +164,5 @@ def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batc
         batch = augment.lift_randomly(batch, settings.lift_m)
     if settings.scale != (1, 1):
         batch = augment.scale_randomly(batch, settings.scale)
-    if settings.mirror:
-        batch = augment.mirror_randomly(batch)
     batch = augment.rotate_randomly(centre(batch))
     return augment.jitter(batch, settings.jitter_m) if settings.jitter_m > 0 else batch

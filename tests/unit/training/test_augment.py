@@ -36,7 +36,6 @@ def rings_follow(before: Batch, after: Batch) -> None:
     [
         centre,
         augment.rotate_randomly,
-        augment.mirror_randomly,
         lambda b: augment.scale_randomly(b, (0.5, 2)),
         lambda b: augment.lift_randomly(b, 3),
     ],

@@ -340,7 +340,7 @@ def test_eight_buildings_can_be_memorised(folder: Path, tmp_path: Path) -> None:
             | {
                 "dim": 64,
                 "cross_depth": 2,
-                "augmentation": {"lift_m": 0, "scale": [1, 1], "mirror": False, "keep_points": [1, 1]},
+                "augmentation": {"lift_m": 0, "scale": [1, 1], "keep_points": [1, 1]},
                 "checkpoint_every_steps": 400,
                 "optimiser": {"num_steps": 400, "batch_size": 8},
             }
