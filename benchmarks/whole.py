@@ -4,11 +4,11 @@
 
 The data (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks) are not part of the project. Runs of all
 houses, of a quarter of them, of the blocks and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is installed)
-alternate, so that other work on the machine slows all of them. Each figure is that of the run with the least CPU time,
-divided by how much slower than usual the machine is (``figures.slowness``). A further house: the difference of the two
-runs of p2wss, and with it the start, which is taken off the blocks. Without the network, on one thread, with default
-outputs. ``--copies``: also a town of so many copies of the houses, first with the default outputs, then as a scene for
-radar: skins, GLB and Sionna's files.
+alternate, so that other work on the machine slows all of them. Times are divided by how much slower than usual the
+machine is just before and after the run (``figures.slowness``), and are those of the run with the median CPU time. A
+further house: the difference of the two runs of p2wss, and with it the start, which is taken off the blocks. Without
+the network, on one thread, with default outputs. ``--copies``: also a town of so many copies of the houses, first with
+the default outputs, then as a scene for radar: skins, GLB and Sionna's files.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import json
 import shutil
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import geopandas as gpd
@@ -62,6 +63,14 @@ def town(place: Path, num_copies: int, folder: Path) -> tuple[Path, Path]:
     return folder / "clouds", folder / "town.gpkg"
 
 
+def measured(command: Sequence[object]) -> Run:
+    """A run, with its times on a machine that is as fast as usual."""
+    before = slowness()
+    each = run(command)
+    factor = (before + slowness()) / 2
+    return each._replace(cpu_s=each.cpu_s / factor, wall_s=each.wall_s / factor)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True, help="folder with delft_ahn3, lidarhd_crops")
@@ -77,7 +86,6 @@ def main() -> int:
     blocks = arguments.data / "lidarhd_crops"
     num_blocks = len(gpd.read_file(blocks / "footprints.gpkg"))
     runs: dict[str, list[Run]] = {}
-    factors = []
     with tempfile.TemporaryDirectory() as name:
         few = Path(name, "few.gpkg")
         houses.iloc[:NUM_FEW].to_file(few)
@@ -100,43 +108,39 @@ def main() -> int:
             commands["Roofer"] = ["roofer", "-j", "2", cloud, footprints, Path(name, "roofer")]
         run(commands["few houses"])  # compiles what is not compiled yet
         for _ in range(arguments.repeats):
-            factors.append(slowness())
             for title, command in commands.items():
-                runs.setdefault(title, []).append(run(command))
+                runs.setdefault(title, []).append(measured(command))
         if arguments.copies:
             inputs = [*town(place, arguments.copies, Path(name)), out, "--model", "none", "--quiet"]
-            runs["town"] = [run([*p2wss[:-1], *inputs])]
-            runs["town, two threads"] = [run([*p2wss[:-1], *inputs, "--threads", "2"])]
+            runs["town"] = [measured([*p2wss[:-1], *inputs])]
+            runs["town, two threads"] = [measured([*p2wss[:-1], *inputs, "--threads", "2"])]
             timed = [sys.executable, "-c", WRITING, "reconstruct", *inputs, "--config", RADAR_SCENE]
-            runs["radar scene"] = [run(timed)]
-    factor = min(factors)
-    best = {title: min(each) for title, each in runs.items()}
-    for title, each in best.items():
+            runs["radar scene"] = [measured(timed)]
+    typical = {title: sorted(each)[len(each) // 2] for title, each in runs.items()}
+    for title, each in typical.items():
         print(f"{title:<12} {each.cpu_s:6.2f} CPU s {each.wall_s:6.2f} s {each.peak_mib:6.0f} MiB")
         figures.row(title, {"CPU s": each.cpu_s, "s": each.wall_s, "MiB": each.peak_mib})
-    figures.row("machine", {"slower than usual": factor})
-    whole, further = best["all houses"], best["all houses"].cpu_s - best["few houses"].cpu_s
-    roofer_s = best["Roofer"].cpu_s / len(houses) if "Roofer" in best else ROOFER_S * factor
+    whole, further = typical["all houses"], typical["all houses"].cpu_s - typical["few houses"].cpu_s
+    roofer_s = typical["Roofer"].cpu_s / len(houses) if "Roofer" in typical else ROOFER_S
     further_s = further / (len(houses) - NUM_FEW)
     print(f"a further house costs {further_s / roofer_s:.1f} times as much as one of Roofer's")
-    start_s = best["few houses"].cpu_s - NUM_FEW * further_s
-    wall_s = [min(each.wall_s for each in runs[title]) for title in ("two threads", "all houses")]
-    figures.at_most("whole run, CPU s", whole.cpu_s / factor, 3.5)
-    figures.at_most("a further house, CPU ms", 1e3 * further_s / factor, 22)
+    start_s = typical["few houses"].cpu_s - NUM_FEW * further_s
+    figures.at_most("whole run, CPU s", whole.cpu_s, 3.5)
+    figures.at_most("a further house, CPU ms", 1e3 * further_s, 22)
     figures.at_most("peak, MiB", whole.peak_mib, 300)
-    figures.at_most("wall of two threads over one", wall_s[0] / wall_s[1], 0.6)
-    block_s = (best["blocks"].cpu_s - start_s) / num_blocks
-    figures.at_most("a large block without the start, CPU ms", 1e3 * block_s / factor, 150)
+    figures.at_most("wall of two threads over one", typical["two threads"].wall_s / whole.wall_s, 0.6)
+    block_s = (typical["blocks"].cpu_s - start_s) / num_blocks
+    figures.at_most("a large block without the start, CPU ms", 1e3 * block_s, 150)
     if arguments.copies:
-        house_s = best["town"].cpu_s / (arguments.copies * len(houses))
-        figures.at_most("a house of the town, CPU ms", 1e3 * house_s / factor, 20)
-        figures.at_most("peak of the town, MiB", best["town"].peak_mib, 800)
-        share = best["town, two threads"].wall_s / best["town"].wall_s
+        house_s = typical["town"].cpu_s / (arguments.copies * len(houses))
+        figures.at_most("a house of the town, CPU ms", 1e3 * house_s, 20)
+        figures.at_most("peak of the town, MiB", typical["town"].peak_mib, 800)
+        share = typical["town, two threads"].wall_s / typical["town"].wall_s
         figures.at_most("wall of two threads over one, town", share, 0.6)
-        lines = best["radar scene"].output.splitlines()
+        lines = typical["radar scene"].output.splitlines()
         writing_s = next(json.loads(line)["cpu_s"] for line in lines if line.startswith("{"))
-        figures.at_most("skins, Sionna and GLB of the town, CPU s", writing_s / factor, 30)
-        figures.at_most("peak of the radar scene, MiB", best["radar scene"].peak_mib, 2000)
+        figures.at_most("skins, Sionna and GLB of the town, CPU s", writing_s, 30)
+        figures.at_most("peak of the radar scene, MiB", typical["radar scene"].peak_mib, 2000)
     return figures.end()
 
 
