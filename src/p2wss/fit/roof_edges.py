@@ -23,8 +23,8 @@ class Rules(NamedTuple):
     points further below it are on a wall or on the ground. min_points: in each band. min_bins_share: of the length of
     an edge that shows the end of the roof.
 
-    min_shift_m: a wall is moved by at least this much; a quarter of its length may show less. min_remaining_m: what
-    remains of an edge. min_turn: sine of the turn at a corner that can be found from the lines of its edges.
+    min_shift_m: a wall is moved by at least this much. min_remaining_m: what remains of an edge. min_turn: sine of the
+    turn at a corner that can be found from the lines of its edges.
 
     ground_share, beyond_m, most_building: beyond a wall that moves is open ground, which has at least this share of the
     points between the wall and the edge; within this distance beyond the edge, further than which no points are at
@@ -168,9 +168,8 @@ def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.nd
 def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:
     """How far behind an edge the roof begins, 0 where it does so at the edge or where that is not clear."""
     begins_m = _begins_m(start, end, point_m, 0.0)
-    if not len(begins_m) or np.quantile(begins_m, 0.25) < RULES.min_shift_m:
-        return 0.0
-    return median(begins_m)
+    shift_m = median(begins_m) if len(begins_m) else 0.0
+    return shift_m if shift_m >= RULES.min_shift_m else 0.0
 
 
 @both

@@ -131,7 +131,7 @@ class Detection(NamedTuple):
     noise_m: float = NOISE_M
     # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further
     # from them on average
-    simpler_m: float = 0.012
+    simpler_m: float = 0.008
 
 
 class Drawing(NamedTuple):
