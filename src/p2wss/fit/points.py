@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES, has_class
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.nearest import nearest
@@ -81,7 +81,7 @@ def shaft_points(
 
     Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
     """
-    low_m = point_m[~np.isin(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
+    low_m = point_m[~has_class(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
     low_m = low_m[shapely.contains_xy(polygon, low_m[:, 0], low_m[:, 1])]
     if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
         return np.zeros((0, 3))

@@ -23,6 +23,7 @@ from p2wss.data.las_classes import (
     NOISE_CLASSES,
     PLANT_CLASSES,
     WATER_CLASS,
+    has_class,
 )
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.fit.planes.detection import detect
@@ -98,7 +99,7 @@ def _theirs(
 ) -> np.ndarray:
     """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
     result = np.zeros(len(point_m), bool)
-    is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
+    is_solid = ~has_class(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
     is_high = is_solid & (point_m[:, 2] >= MIN_HEIGHT_M)
     for strip_m in RULES.strips_m:
         core = polygon.buffer(-strip_m - RULES.core_m).buffer(RULES.core_m)

@@ -344,9 +344,7 @@ def _merged(
     result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)
     for i in range(num):
         if count[i] >= max(min_points, 1):
-            result[num_roofs] = _fit(
-                point_m, rows, _listed(rows, 0, first[i], following), settings.noise_m
-            )
+            result[num_roofs] = _fit(point_m, rows, _listed(rows, 0, first[i], following), settings.noise_m)
             if np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:
                 new_label[rows[: count[i]]] = num_roofs
                 num_roofs += 1

@@ -241,7 +241,7 @@ class _Network:
         return float((turn - 1e-12) % (2 * np.pi))
 
     def _triangles(self, rings: Sequence[tuple[int, list[int]]]) -> np.ndarray:
-        """Vertices (t, 3) of the triangles of all connected faces, first of roofs, then of floors, seen from outside."""
+        """Vertices (t, 3) of the triangles of all connected faces, seen from outside: of roofs, then of floors."""
         numbers, places = zip(*rings, strict=True)
         xy_m, number = np.array(self._xy_m), np.repeat(np.arange(len(places)), [*map(len, places)])
         exterior = np.asarray(shapely.linearrings(xy_m[np.concatenate(places)], indices=number), object)
