@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import fmean
 
 import numpy as np
@@ -230,8 +231,9 @@ class _Network:
                 if not onward:
                     break
                 # where a face touches itself, the way goes on around the same part of it
-                turns = [self._turn(start, end, each) for each in onward]
-                start, end = end, onward[int(np.argmin(turns))]
+                if len(onward) > 1:
+                    onward.sort(key=partial(self._turn, start, end))
+                start, end = end, onward[0]
             yield from ((number, each.tolist()) for each in simple_rings(ring))
 
     def _turn(self, before: int, place: int, after: int) -> float:
