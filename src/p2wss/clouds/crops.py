@@ -17,6 +17,7 @@ from p2wss.data.las_classes import (
     NOISE_CLASSES,
     PLANT_CLASSES,
     WATER_CLASS,
+    has_class,
 )
 from p2wss.skeleton.types import Polygons
 
@@ -120,7 +121,7 @@ def ground_height(
 def lowest_points(cloud: Cloud) -> np.ndarray:
     """Indices of the lowest points of a cloud, one of each square, without plants, roofs, noise and water."""
     solid = np.flatnonzero(
-        ~np.isin(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS, BUILDING_CLASS))
+        ~has_class(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS, BUILDING_CLASS))
     )
     x, y, z = cloud.x_m[solid], cloud.y_m[solid], cloud.z_m[solid]
     square = np.floor(x / _SQUARE_M) + 1j * np.floor(y / _SQUARE_M)

@@ -18,6 +18,14 @@ NOISE_CLASSES = (7, 18)  # low and high noise
 NEIGHBOUR_CLASS = NOISE_CLASSES[1]
 
 
+def has_class(classification: np.ndarray, classes: Sequence[int]) -> np.ndarray:
+    """bool (n,): which points, uint8 (n,), are of some classes."""
+    # numpy's own function takes eight times as long for the points of a building
+    table = np.zeros(256, bool)
+    table[[*classes]] = True
+    return np.asarray(table[classification])
+
+
 @dataclass(frozen=True)
 class ClassSet:
     """The classes of a producer: buildings, ground, and those to ignore. All others are "other": they may be on a
@@ -36,7 +44,7 @@ class ClassSet:
         table[[BUILDING_CLASS, GROUND_CLASS]] = UNCLASSIFIED_CLASS
         table[list(self.building)] = BUILDING_CLASS
         table[list(self.ground)] = GROUND_CLASS
-        return table[classification], ~np.isin(classification, [*self.ignored, *NOISE_CLASSES])
+        return table[classification], ~has_class(classification, [*self.ignored, *NOISE_CLASSES])
 
 
 LAS = ClassSet()

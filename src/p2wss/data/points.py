@@ -8,7 +8,14 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES, WATER_CLASS
+from p2wss.data.las_classes import (
+    BUILDING_CLASS,
+    GROUND_CLASS,
+    NOISE_CLASSES,
+    PLANT_CLASSES,
+    WATER_CLASS,
+    has_class,
+)
 
 # with fewer points of class building, or a smaller share of those that may be, the classifier has missed the building
 MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE = 5, 0.2
@@ -50,8 +57,8 @@ def points_on_buildings(
     counts = np.diff(offset)
     building = np.repeat(np.arange(len(counts)), counts)
     is_classified = inside & (classification == BUILDING_CLASS)
-    is_high = inside & ~np.isin(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
-    is_solid = is_high & ~np.isin(classification, PLANT_CLASSES)
+    is_high = inside & ~has_class(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
+    is_solid = is_high & ~has_class(classification, PLANT_CLASSES)
     num_classified, num_high, num_solid = (
         np.bincount(building[each], minlength=len(counts)) for each in (is_classified, is_high, is_solid)
     )

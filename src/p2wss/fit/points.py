@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES, has_class
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.nearest import nearest
@@ -81,7 +81,7 @@ def shaft_points(
 
     Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
     """
-    low_m = point_m[~np.isin(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
+    low_m = point_m[~has_class(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
     low_m = low_m[shapely.contains_xy(polygon, low_m[:, 0], low_m[:, 1])]
     if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
         return np.zeros((0, 3))
@@ -96,7 +96,6 @@ def shaft_points(
     place_m = np.column_stack([x.ravel(), y.ravel()])
     # a disc without points on the roof, of which each place is part
     radius_m = max(_SHAFT_RADIUS_M, _NUM_GAPS * gap_m)
-    inside = shapely.contains_xy(polygon, *place_m.T)
 
     def nearest_place(xy_m: np.ndarray) -> tuple[np.ndarray, ...]:
         return tuple(np.minimum(np.rint((xy_m - start_m) / step_m).astype(int), np.array(x.shape) - 1).T)
@@ -111,10 +110,12 @@ def shaft_points(
         for each, size in ((column, x.shape[0]), (row, x.shape[1]))
     )
     is_near[columns[:, :, None], rows[:, None]] = True
-    may_be = np.flatnonzero(inside & ~is_near.ravel())
-    middle_m = place_m[may_be[nearest(roof_m[:, :2], place_m[may_be])[0][:, 0] > radius_m]]
+    may_be_m = place_m[~is_near.ravel()]
+    may_be_m = may_be_m[shapely.contains_xy(polygon, *may_be_m.T)]
+    middle_m = may_be_m[nearest(roof_m[:, :2], may_be_m)[0][:, 0] > radius_m]
     if not len(middle_m):
         return np.zeros((0, 3))
+    inside = shapely.contains_xy(polygon, *place_m.T)
     inside[inside] = nearest(middle_m, place_m[inside])[0][:, 0] < radius_m
     first, second = cell_neighbours(x)
     linked = inside[first] & inside[second]

@@ -21,6 +21,7 @@ _RANK = 1e-2
 # changes of planes that move no vertex by more than the square root of this share of themselves are not made
 _NO_CHANGE = 1e-10
 _NUM_ROUNDS = 4
+_GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
 # so many planes and places that depend on each other are solved for together
 _TOGETHER = 200
 # a triangle is turned over if twice its area along its former normal is less than minus this
@@ -44,7 +45,9 @@ def with_meeting_planes(
     planes = mesh.planes
     num = len(planes.kind)
     vertex, plane = np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num)
-    row, scale = _equations(mesh, vertex, plane, free)
+    is_free = np.isin(np.arange(num), [*free]) if free else np.zeros(num, bool)
+    vertex_m = writable(mesh.vertex_m, np.float64)
+    row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free)
     # any vertex of a place tells where its planes are, as they are linear
     _, first, place = np.unique(place, return_index=True, return_inverse=True)
     further = np.array(list(more), int).reshape(-1, 2)
@@ -79,66 +82,71 @@ def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
+@entry
 def _equations(
-    mesh: Mesh, vertex: np.ndarray, plane: np.ndarray, free: Collection[int]
+    vertex_m: np.ndarray,
+    vertex: np.ndarray,
+    plane: np.ndarray,
+    kind: np.ndarray,
+    normal: np.ndarray,
+    is_free: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(rows (p, 4), scales (p, 4, 3)) of the planes of a mesh.
 
     How far a point is from a plane is the product of its coordinates and a 1 with the row. For roofs, that has the
-    slopes and -1, for others the normal. A change of a plane, times the scale, is one of the row; so scaled, it is as
-    long as that of its vertices' heights. vertex, plane: each pair of them. free: planes that may shift though they are
-    walls on floors.
+    slopes of the least squares and -1, for others the normal. A change of a plane, times the scale, is one of the row;
+    so scaled, it is as long as that of its vertices' heights. vertex, plane: each pair of them. is_free: bool (p,),
+    planes that may shift though they are walls on floors.
     """
-    kind, normal = mesh.planes.kind, mesh.planes.normal
-    is_floor, is_wall = kind == FaceKind.GROUND, kind == FaceKind.WALL
-    is_roof, stiff = ~is_floor & ~is_wall, np.where(kind == FaceKind.FLAT, _STIFF, 1.0)
-    vertex_m = writable(mesh.vertex_m, np.float64)
-    base, square, to_height, stays = _moments(vertex_m, vertex, plane, is_floor, stiff)
-    length, axes = np.linalg.eigh(square)
-    # the least squares of all planes
-    weight = np.where(length > _THIN * length[:, 2:], 1 / np.maximum(length, 1e-300), 0.0)
-    fitted = axes @ (weight[..., None] * (axes.transpose(0, 2, 1) @ to_height[..., None]))
-    row, scale = np.zeros((len(kind), 4)), np.zeros((len(kind), 4, 3))
-    slopes = np.column_stack([stiff[:, None] * fitted[:, :2, 0], np.full(len(kind), -1)])
-    row[:, :3] = np.where(is_roof[:, None], slopes, normal)
-    row[:, 3] = -(row[:, :3] * base).sum(axis=1)
-    scale[:, [0, 1, 3]] = axes / np.sqrt(np.maximum(length, _EXACT_M))[:, None]
-    # walls shift only, unless they stand on a floor
-    stays[list(free)] = False
-    scale[~is_roof] = 0
-    scale[~is_roof, 3, 2] = np.where(stays | is_floor, 0, 1 / np.sqrt(np.bincount(plane)))[~is_roof]
-    scale[:, 3] -= (base[:, :2, None] * scale[:, :2]).sum(axis=1)
-    return row, scale
-
-
-@entry
-def _moments(
-    vertex_m: np.ndarray, vertex: np.ndarray, plane: np.ndarray, is_floor: np.ndarray, stiff: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(mean (p, 3) of the vertices of each plane, sums of squares (p, 3, 3) of their places and a 1, sums of the
-    products of these with heights (p, 3), whether one of them is on a floor). stiff: how much more the heights that
-    slopes make count."""
-    num, on_floor = len(stiff), np.zeros(len(vertex_m), np.bool_)
+    num, on_floor = len(kind), np.zeros(len(vertex_m), np.bool_)
     size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
     for k, p in enumerate(plane):
         size[p] += 1
         base[p] += vertex_m[vertex[k]]
-        on_floor[vertex[k]] |= is_floor[p]
+        on_floor[vertex[k]] |= kind[p] == _GROUND
     base /= size.reshape(-1, 1)
-    square, to_height, lever = np.zeros((num, 3, 3)), np.zeros((num, 3)), np.ones(3)
+    # of places from their mean, sums of squares and of the products with heights
+    row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
+    stiff = np.where(kind == _FLAT, _STIFF, 1.0)
     for k, p in enumerate(plane):
         stands[p] |= on_floor[vertex[k]]
-        lever[:2] = stiff[p] * (vertex_m[vertex[k], :2] - base[p, :2])
+        away_m = vertex_m[vertex[k]] - base[p]
+        away_m[:2] *= stiff[p]
+        for a in range(2):
+            sums[p, a] += away_m[a] * away_m
+    for p in range(num):
+        row[p, :3] = normal[p]
+        # walls shift only, unless they stand on a floor
+        if kind[p] == _WALL and (is_free[p] or not stands[p]):
+            scale[p, 3, 2] = 1 / np.sqrt(size[p])
+        elif kind[p] != _WALL and kind[p] != _GROUND:
+            (xx, xy, xz), (_, yy, yz) = sums[p]
+            turn = np.arctan2(2 * xy, xx - yy) / 2
+            x, y = np.cos(turn), np.sin(turn)
+            long = x * x * xx + 2 * x * y * xy + y * y * yy
+            row[p, 0], row[p, 1], row[p, 2], scale[p, 3, 2] = 0.0, 0.0, -1.0, 1 / np.sqrt(size[p])
+            for k, length in enumerate((long, xx + yy - long)):
+                rise = x * xz + y * yz if length > _THIN * max(long, size[p]) else 0.0
+                for a, along in enumerate((x, y)):
+                    row[p, a] += stiff[p] * along * rise / max(length, 1e-300)
+                    scale[p, a, k] = along / np.sqrt(max(length, _EXACT_M))
+                    scale[p, 3, k] -= base[p, a] * scale[p, a, k]
+                x, y = -y, x
         for a in range(3):
-            to_height[p, a] += lever[a] * (vertex_m[vertex[k], 2] - base[p, 2])
-            square[p, a] += lever[a] * lever
-    return base, square, to_height, stands
+            row[p, 3] -= row[p, a] * base[p, a]
+    return row, scale
 
 
+@entry
 def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
     """How far the furthest of the planes at each point is from it. point_m: (n, 4), with a 1. at, plane: pairs."""
-    off_m = np.abs((row[plane] * point_m[at]).sum(axis=1))
-    return np.asarray(np.maximum.reduceat(off_m, np.flatnonzero(np.diff(at, prepend=-1))))
+    result = np.zeros(len(point_m))
+    for k, place in enumerate(at):
+        off_m = 0.0
+        for a in range(4):
+            off_m += row[plane[k], a] * point_m[place, a]
+        result[place] = max(result[place], abs(off_m))
+    return result
 
 
 def _met(

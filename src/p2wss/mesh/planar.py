@@ -82,6 +82,8 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
     """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`); None if no change of
     centimetres does that."""
     moved, apart_m = with_meeting_planes(mesh, place, free=free)
+    if moved is mesh:
+        return mesh if apart_m.max() <= _PLANAR_M else None
     move_m = np.abs(moved.vertex_m - mesh.vertex_m)
     # the walls on floors stay where they are not free
     is_far = move_m.max() > max(_MAX_MOVE_M, max_move_m) or (

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.compiled import entry, inner
+
+_TINY = float(np.finfo(float).tiny)
 
 
 def sample_surface(
@@ -28,43 +30,55 @@ def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.nda
     The nearest place of a triangle is the projection of the point if that is inside, else on one of the edges.
     """
     corner_m = np.asarray(vertex_m, float)[np.asarray(triangle, int)]
-    edge_m = np.roll(corner_m, -1, axis=1) - corner_m
-    normal = np.cross(edge_m[:, 0], edge_m[:, 1])
-    with np.errstate(invalid="ignore"):  # NaN of a triangle without area: no point is inside
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    inward = np.cross(normal[:, None], edge_m)
-    # of an edge without length, its start
-    share_per_m = edge_m / np.maximum((edge_m**2).sum(axis=2, keepdims=True), np.finfo(float).tiny)
-    point_m = np.ascontiguousarray(point_m, float)
-    return np.sqrt(_squared_distances(point_m, corner_m, edge_m, share_per_m, inward, normal))
+    return np.sqrt(_squared_distances(np.ascontiguousarray(point_m, float), corner_m))
 
 
 @entry
-def _squared_distances(
-    point_m: np.ndarray,
-    corner_m: np.ndarray,
-    edge_m: np.ndarray,
-    share_per_m: np.ndarray,
-    inward: np.ndarray,
-    normal: np.ndarray,
-) -> np.ndarray:
-    nearest = np.full(len(point_m), np.inf)
-    for t in range(len(corner_m)):
+def _squared_distances(point_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
+    nearest, edge, inward, normal = (
+        np.full(len(point_m), np.inf),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty(3),
+    )
+    for corner in corner_m:
+        for k in range(3):
+            edge[k] = corner[(k + 1) % 3] - corner[k]
+        _cross(edge[0], edge[1], normal)
+        # that of a triangle without area is not a number: no point is inside
+        normal /= np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+        for k in range(3):
+            _cross(normal, edge[k], inward[k])
         for i in range(len(point_m)):
-            is_inside, height = True, 0.0
+            x, y, z = point_m[i, 0] - corner[0, 0], point_m[i, 1] - corner[0, 1], point_m[i, 2] - corner[0, 2]
+            height = x * normal[0] + y * normal[1] + z * normal[2]
+            # nothing of the triangle is nearer than its plane
+            if height**2 >= nearest[i]:
+                continue
+            is_inside = True
             for k in range(3):
-                x = point_m[i, 0] - corner_m[t, k, 0]
-                y = point_m[i, 1] - corner_m[t, k, 1]
-                z = point_m[i, 2] - corner_m[t, k, 2]
-                share = x * share_per_m[t, k, 0] + y * share_per_m[t, k, 1] + z * share_per_m[t, k, 2]
+                x, y, z = (
+                    point_m[i, 0] - corner[k, 0],
+                    point_m[i, 1] - corner[k, 1],
+                    point_m[i, 2] - corner[k, 2],
+                )
+                u, v, w = edge[k]
+                # of an edge without length, its start
+                share = (x * u + y * v + z * w) / max(u * u + v * v + w * w, _TINY)
                 share = min(max(share, 0.0), 1.0)
-                squared = (x - share * edge_m[t, k, 0]) ** 2 + (y - share * edge_m[t, k, 1]) ** 2
-                nearest[i] = min(nearest[i], squared + (z - share * edge_m[t, k, 2]) ** 2)
-                is_inside &= x * inward[t, k, 0] + y * inward[t, k, 1] + z * inward[t, k, 2] >= 0.0
-                height = x * normal[t, 0] + y * normal[t, 1] + z * normal[t, 2]
+                squared = (x - share * u) ** 2 + (y - share * v) ** 2 + (z - share * w) ** 2
+                nearest[i] = min(nearest[i], squared)
+                is_inside &= x * inward[k, 0] + y * inward[k, 1] + z * inward[k, 2] >= 0.0
             if is_inside:
                 nearest[i] = min(nearest[i], height**2)
     return nearest
+
+
+@inner
+def _cross(u: np.ndarray, v: np.ndarray, result: np.ndarray) -> None:
+    """Store the cross product of two vectors."""
+    for k in range(3):
+        result[k] = u[k - 2] * v[k - 1] - u[k - 1] * v[k - 2]
 
 
 @entry

@@ -10,7 +10,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.crops import LOWEST_RINGS_M, CloudCrops, low_height, lowest_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS, PLANT_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, PLANT_CLASSES, has_class
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.terrain import Terrain
 from p2wss.skeleton.types import Polygons
@@ -68,7 +68,7 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
     for p in range(count):
         some = slice(cropped.offset[p], cropped.offset[p + 1])
         near, inside = cropped.point[some], cropped.inside[some]
-        is_solid = ~np.isin(cloud.classification[near], PLANT_CLASSES)
+        is_solid = ~has_class(cloud.classification[near], PLANT_CLASSES)
         own, beside = near[inside & is_solid], near[~inside & is_solid]
         roof = own[cloud.classification[own] == BUILDING_CLASS]
         if len(roof) < RULES.roof_share * len(own):

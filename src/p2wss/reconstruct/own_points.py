@@ -23,11 +23,14 @@ from p2wss.data.las_classes import (
     NOISE_CLASSES,
     PLANT_CLASSES,
     WATER_CLASS,
+    has_class,
 )
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.fit.planes.detection import detect
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
+from p2wss.skeleton import ordering
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.nearest import nearest
 
 
@@ -96,7 +99,7 @@ def _theirs(
 ) -> np.ndarray:
     """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
     result = np.zeros(len(point_m), bool)
-    is_solid = ~np.isin(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
+    is_solid = ~has_class(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
     is_high = is_solid & (point_m[:, 2] >= MIN_HEIGHT_M)
     for strip_m in RULES.strips_m:
         core = polygon.buffer(-strip_m - RULES.core_m).buffer(RULES.core_m)
@@ -155,9 +158,22 @@ def _rise_m(place: np.ndarray, own: np.ndarray) -> np.ndarray:
     """How far surfaces at places (m, 5) rise above the own ones (n, 5) nearest to them, (m,): x, y, z in metres and the
     slope there, not a number where it is unknown. A fold between them is no step."""
     _, beside = nearest(own[:, :2], place[:, :2], min(RULES.num_near, len(own)))
-    apart = place[:, None] - own[beside]
-    rises_m = [(apart[:, :, :2] * slope).sum(axis=2) for slope in (place[:, None, 3:], own[beside, 3:])]
-    low_m, high_m = np.nan_to_num([np.fmin(*rises_m), np.fmax(*rises_m)])
-    is_fold = (low_m < apart[:, :, 2]) & (apart[:, :, 2] < high_m)
-    step_m = np.where(is_fold, 0.0, apart[:, :, 2] - (low_m + high_m) / 2)
-    return np.asarray(np.median(step_m, axis=1))
+    return np.asarray(_rise_above_m(place, own, beside))
+
+
+@entry
+def _rise_above_m(place: np.ndarray, own: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """The same. beside: (m, k), the own ones nearest to each place."""
+    result, step_m = np.empty(len(place)), np.empty(beside.shape[1])
+    for i in range(len(place)):
+        for k, other in enumerate(beside[i]):
+            x, y, z = place[i, 0] - own[other, 0], place[i, 1] - own[other, 1], place[i, 2] - own[other, 2]
+            one_m, other_m = x * place[i, 3] + y * place[i, 4], x * own[other, 3] + y * own[other, 4]
+            if np.isnan(one_m):
+                one_m = 0.0 if np.isnan(other_m) else other_m
+            if np.isnan(other_m):
+                other_m = one_m
+            is_fold = min(one_m, other_m) < z < max(one_m, other_m)
+            step_m[k] = 0.0 if is_fold else z - (one_m + other_m) / 2
+        result[i] = ordering.median(step_m, len(step_m))
+    return result

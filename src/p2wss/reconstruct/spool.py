@@ -9,8 +9,8 @@ from typing import Any, Generic, TypeVar
 
 from p2wss.storage.temporary import Closeable, Scratch
 
-# values that stay in memory, too, about 25 KiB each: the first that are read, as those of a large run are read in their
-# order again and again
+# values that stay in memory, about 25 KiB each: the first, as those of a large run are read in their order again and
+# again
 _NUM_KEPT = 4096
 T = TypeVar("T")
 S = TypeVar("S")
@@ -31,7 +31,7 @@ class Lazy(Sequence[T], Generic[S, T]):
 
 
 class Spool(Lazy[int, T], Closeable):
-    """``count`` values in a :class:`~p2wss.storage.temporary.Scratch` file of ``folder``.
+    """``count`` values, the first in memory, others in a :class:`~p2wss.storage.temporary.Scratch` file of ``folder``.
 
     A value may be replaced; its place in the file is then not used again. Reading one that was not set is a KeyError.
     Several accesses may return the same object: it is not for changes.
@@ -48,16 +48,17 @@ class Spool(Lazy[int, T], Closeable):
         self._scratch.close()
 
     def __setitem__(self, index: int, value: T) -> None:
+        self._kept.pop(index, None)
+        if len(self._kept) < _NUM_KEPT:
+            self._kept[index] = value
+            return
         content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
         self._place[index] = (self._scratch.num_bytes, len(content))
         self._scratch.append(content)
-        self._kept.pop(index, None)
 
     def _value(self, index: int) -> T:
         if index in self._kept:
             return self._kept[index]
         # what this process wrote, into a file that no other can open
         value: T = pickle.loads(self._scratch.read(*self._place[index]))  # nosec B301
-        if len(self._kept) < _NUM_KEPT:
-            self._kept[index] = value
         return value

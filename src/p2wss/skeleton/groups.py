@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.compiled import both
 from p2wss.skeleton.half_edges import find
 from p2wss.skeleton.types import writable
 
@@ -17,7 +17,7 @@ def groups(size: int, pairs: np.ndarray) -> np.ndarray:
     [0, 1, 0, 2]
     """
     # scipy's function takes many times as long for the few triangles of a building
-    return np.asarray(_groups(int(size), writable(pairs, np.int64)))
+    return np.asarray(grouped(int(size), writable(pairs, np.int64)))
 
 
 def cell_neighbours(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,8 +28,9 @@ def cell_neighbours(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-@entry
-def _groups(size: int, pairs: np.ndarray) -> np.ndarray:
+@both
+def grouped(size: int, pairs: np.ndarray) -> np.ndarray:
+    """:func:`groups`, for compiled code, too."""
     first = np.arange(size)
     for k in range(len(pairs)):
         a, b = find(first, pairs[k, 0]), find(first, pairs[k, 1])

@@ -25,13 +25,15 @@ def test_values_of_a_file_in_any_order(tmp_path: Path) -> None:
         _ = empty[0]
 
 
-def test_only_the_first_values_that_are_read_stay_in_memory(
+def test_only_the_first_values_stay_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(spool, "_NUM_KEPT", 1)
     with Spool[list[int]](2, tmp_path) as values:
         values[0], values[1] = [0], [1]
         assert values[0] is values[0] and values[1] == [1] and values[1] is not values[1]
+        values[0], values[1] = [2], [3]
+        assert values[0] is values[0] and list(values) == [[2], [3]]
 
 
 def test_computed_at_each_access() -> None:

@@ -67,7 +67,8 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
             slope = normal[roofs, :2] / normal[roofs, 2:]
             shift = result[vertex, :2] - middle_m[roofs, :2]
             result[vertex, 2] = (middle_m[roofs, 2] - (shift * slope).sum(axis=1)).mean()
-    return mesh.moved(result)
+    # what was computed of a mesh that stays is kept
+    return mesh if (result == vertex_m).all() else mesh.moved(result)
 
 
 def _face_planes(mesh: Mesh, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -48,10 +48,7 @@ def fitted(point_m: np.ndarray, rows: np.ndarray, noise_m: float) -> np.ndarray:
 @entry
 def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> float:
     """The mean distance of some of the points (m, 3) from a plane (3,); 0 of none. rows: int64 (k,)."""
-    total_m = 0.0
-    for row in rows:
-        total_m += _distance(plane, point_m[row])
-    return total_m / max(len(rows), 1)
+    return _mean_m(plane, point_m, rows, len(rows))
 
 
 def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
@@ -269,20 +266,24 @@ def _largest(
         num_planes += 1
 
 
+@entry
 def _reassigned(
     point_m: np.ndarray, plane: np.ndarray, label: np.ndarray, neighbour: np.ndarray, distance_m: float
 ) -> np.ndarray:
     """The label (m,) of each point: the nearest of its plane and the planes of its neighbours."""
-    # where all around are of its plane, so is the point
-    rows = np.flatnonzero((label[neighbour] != label[:, None]).any(axis=1))
-    distance = np.column_stack([distances(plane, point_m[rows]), np.full(len(rows), distance_m)])
-    candidate = np.column_stack([label[rows], label[neighbour[rows]]])
-    best = np.take_along_axis(distance, candidate, axis=1).argmin(axis=1)
     result = label.copy()
-    result[rows] = candidate[np.arange(len(rows)), best]
+    for row in range(len(label)):
+        number = label[row]
+        least_m = _distance(plane[number], point_m[row]) if number >= 0 else distance_m
+        for other in neighbour[row]:
+            if label[other] != number:
+                near_m = _distance(plane[label[other]], point_m[row]) if label[other] >= 0 else distance_m
+                if near_m < least_m:
+                    least_m, result[row] = near_m, label[other]
     return result
 
 
+@entry
 def _merged(
     point_m: np.ndarray,
     plane: np.ndarray,
@@ -293,41 +294,75 @@ def _merged(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(planes, label) after planes side by side have become one, those that differ least first, without the planes of
     too few points."""
-    rows = {i: np.flatnonzero(label == i) for i in range(len(plane))}
-    residual_m = {i: mean_distance(plane[i], point_m, each) for i, each in rows.items()}
-    beside = _touching(label, neighbour)
-
-    def joint(one: int, other: int) -> tuple[float, np.ndarray]:
-        both = fitted(point_m, np.concatenate([rows[one], rows[other]]), settings.noise_m)
-        worse = (mean_distance(both, point_m, rows[i]) - residual_m[i] for i in (one, other))
-        return max(worse), both
-
-    found = {pair: joint(*pair) for pair in sorted(beside)}
-    while found:
-        (one, other), (worse_m, both) = min(found.items(), key=lambda item: (item[1][0], item[0]))
-        if worse_m > settings.simpler_m:
+    num, end = len(plane), -1
+    # the points of each plane follow each other; those of one that another has taken come after those of that one
+    first, last, following = np.full(num, end), np.full(num, end), np.full(len(label), end)
+    count, rows = np.zeros(num, np.int64), np.empty(len(label), np.int64)
+    num_links = np.zeros((num, num), np.int64)
+    for row, number in enumerate(label):
+        if number < 0:
+            continue
+        if count[number] == 0:
+            first[number] = row
+        else:
+            following[last[number]] = row
+        last[number], count[number] = row, count[number] + 1
+        for other in neighbour[row]:
+            if label[other] >= 0:
+                num_links[min(number, label[other]), max(number, label[other])] += 1
+    residual_m = np.zeros(num)
+    for i in range(num):
+        residual_m[i] = _mean_m(plane[i], point_m, rows, _listed(rows, 0, first[i], following))
+    # how much further points are from one plane in place of two that touch in three pairs of points or more
+    worse_m, joint, is_new = np.full((num, num), np.inf), np.zeros((num, num, 3)), num_links >= 3
+    while True:
+        least_m, one, other = np.inf, 0, 0
+        for i in range(num):
+            for j in range(i + 1, num):
+                if is_new[i, j]:
+                    is_new[i, j] = False
+                    num_one = _listed(rows, 0, first[i], following)
+                    both = _listed(rows, num_one, first[j], following)
+                    joint[i, j] = _fit(point_m, rows, both, settings.noise_m)
+                    worse_m[i, j] = max(
+                        _mean_m(joint[i, j], point_m, rows, num_one) - residual_m[i],
+                        _mean_m(joint[i, j], point_m, rows[num_one:], both - num_one) - residual_m[j],
+                    )
+                if worse_m[i, j] < least_m:
+                    least_m, one, other = worse_m[i, j], i, j
+        if not least_m <= settings.simpler_m:
             break
-        rows[one] = np.concatenate([rows[one], rows.pop(other)])
-        residual_m[one] = mean_distance(both, point_m, rows[one])
-        linked = {i for pair in found if one in pair or other in pair for i in pair} - {one, other}
-        found = {pair: value for pair, value in found.items() if one not in pair and other not in pair}
-        found |= {pair: joint(*pair) for pair in ((min(one, i), max(one, i)) for i in sorted(linked))}
-    large = {
-        i: fitted(point_m, each, settings.noise_m)
-        for i, each in sorted(rows.items())
-        if len(each) >= min_points
-    }
-    roofs = [i for i, each in large.items() if np.hypot(*each[:2]) < settings.steepest]
-    new_label = np.full(len(label), -1)
-    for number, i in enumerate(roofs):
-        new_label[rows[i]] = number
-    return np.array([large[i] for i in roofs]).reshape(-1, 3), new_label
+        following[last[one]], last[one] = first[other], last[other]
+        count[one], count[other] = count[one] + count[other], 0
+        residual_m[one] = _mean_m(joint[one, other], point_m, rows, _listed(rows, 0, first[one], following))
+        worse_m[one, other] = np.inf
+        for i in range(num):
+            for k in (one, other):
+                low, high = min(i, k), max(i, k)
+                if worse_m[low, high] < np.inf:
+                    worse_m[low, high], is_new[min(i, one), max(i, one)] = np.inf, True
+    result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)
+    for i in range(num):
+        if count[i] >= max(min_points, 1):
+            result[num_roofs] = _fit(point_m, rows, _listed(rows, 0, first[i], following), settings.noise_m)
+            if np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:
+                new_label[rows[: count[i]]] = num_roofs
+                num_roofs += 1
+    return result[:num_roofs].copy(), new_label
 
 
-def _touching(label: np.ndarray, neighbour: np.ndarray) -> set[tuple[int, int]]:
-    """Pairs of planes of which at least three pairs of points are neighbours."""
-    one, other = np.repeat(label, neighbour.shape[1]), label[neighbour].ravel()
-    differ = (one >= 0) & (other >= 0) & (one != other)
-    one, other, size = one[differ], other[differ], len(label)
-    pair, count = np.unique(np.minimum(one, other) * size + np.maximum(one, other), return_counts=True)
-    return {divmod(int(each), size) for each in pair[count >= 3]}
+@inner
+def _listed(rows: np.ndarray, num: int, row: int, following: np.ndarray) -> int:
+    """How many rows there are with those that follow each other from ``row`` on, put after the first ``num``."""
+    while row >= 0:
+        rows[num], num, row = row, num + 1, following[row]
+    return num
+
+
+@inner
+def _mean_m(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray, num: int) -> float:
+    """The mean distance of the points in the first ``num`` of ``rows`` from a plane; 0 of none."""
+    total_m = 0.0
+    for t in range(num):
+        total_m += _distance(plane, point_m[rows[t]])
+    return total_m / max(num, 1)

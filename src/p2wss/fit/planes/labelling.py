@@ -7,7 +7,8 @@ them, and lines with short steps to others, where that saves more than it costs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, both, entry
-from p2wss.skeleton.groups import groups
+from p2wss.skeleton.groups import grouped, groups
 from p2wss.skeleton.nearest import nearest
 
 _MAX_ROUNDS = 4
@@ -45,33 +46,26 @@ class Costs:
 
     def total_m3(self, label: np.ndarray) -> float:
         """Of planes ``label`` (c,) over the cells."""
-        num_faces, num_lines = self.faces(label).max(initial=-1) + 1, np.count_nonzero(self.steps_m(label))
-        total_m3 = _sum(self.cell_m3, self.pair, self.side_m3, label)
-        return float(total_m3 + self.prices.face_m3 * num_faces + self.prices.line_m3 * num_lines)
-
-    def is_step_at(self, label: np.ndarray) -> np.ndarray:
-        """bool (s,): whether there is a step at each side."""
-        return self.is_step[np.arange(len(self.pair)), label[self.pair[:, 0]], label[self.pair[:, 1]]]
-
-    def steps_m(self, label: np.ndarray) -> np.ndarray:
-        """(l,): how much of each line has steps."""
-        return np.bincount(self.line, self.length_m * self.is_step_at(label))
+        return float(_total_m3(self.graph, self.prices, label))
 
     def faces(self, label: np.ndarray) -> np.ndarray:
         """int (c,): numbers of the connected faces."""
-        same = label[self.pair[:, 0]] == label[self.pair[:, 1]]
-        return groups(len(label), self.pair[same])
+        return np.asarray(_faces(self.graph, label))
 
     def bodies(self, label: np.ndarray) -> np.ndarray:
         """int (c,): numbers of the faces that no step divides."""
-        return groups(len(label), self.pair[~self.is_step_at(label)])
+        is_step = self.is_step[np.arange(len(self.pair)), label[self.pair[:, 0]], label[self.pair[:, 1]]]
+        return groups(len(label), self.pair[~is_step])
 
+    @cached_property
     def graph(self) -> _Graph:
         """For compiled code."""
         end = np.concatenate([self.pair[:, 0], self.pair[:, 1]])
         order = np.argsort(end, kind="stable")
         first = np.searchsorted(end[order], np.arange(len(self.cell_m3) + 1))
-        return _Graph(self.cell_m3, self.pair, self.side_m3, order, first)
+        return _Graph(
+            self.cell_m3, self.pair, self.side_m3, order, first, self.is_step, self.line, self.length_m
+        )
 
 
 def costs_of(
@@ -141,60 +135,6 @@ def _at_sides(
     return side_m3, is_step
 
 
-def least_cost(costs: Costs) -> np.ndarray:
-    """int (c,): the plane over each cell."""
-    # of lines that are dispensed with, steps are forbidden
-    costs = replace(costs, side_m3=costs.side_m3.copy())
-    graph, label = costs.graph(), np.zeros(len(costs.cell_m3), np.int64)
-    label, total_m3 = _with_fewer_faces(costs, graph, label, np.ones(len(label), bool))
-    tried: set[int] = set()
-    while True:
-        steps_m = costs.steps_m(label)
-        is_short = (steps_m > 0) & (steps_m < costs.prices.short_line_m)
-        is_short[list(tried)] = False
-        if not is_short.any():
-            return label
-        line = int(np.where(is_short, steps_m, np.inf).argmin())
-        tried.add(line)
-        on_line = np.flatnonzero(costs.line == line)
-        face = costs.faces(label)
-        is_inside = np.isin(face, face[costs.pair[on_line[costs.is_step_at(label)[on_line]]]])
-        before_m3 = costs.side_m3[on_line]
-        costs.side_m3[on_line] += _FORBIDDEN_M3 * costs.is_step[on_line]
-        other, other_m3 = _with_fewer_faces(costs, graph, label, is_inside)
-        if other_m3 < total_m3 - _GAIN_M3:
-            label, total_m3 = other, other_m3
-        else:
-            costs.side_m3[on_line] = before_m3
-
-
-def _with_fewer_faces(
-    costs: Costs, graph: _Graph, label: np.ndarray, is_inside: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """The labels (c,) after some cells, bool (c,), have got the planes of least cost, and faces of such cells have
-    given way to those around them; and what they cost."""
-    every = np.ones(costs.cell_m3.shape[1], bool)
-    label = _relabelled(graph, label, is_inside, every)
-    total_m3, tried = costs.total_m3(label), set()
-    while True:
-        face = costs.faces(label)
-        size = np.bincount(face)
-        is_whole = size == np.bincount(face, is_inside)
-        for number in np.argsort(size, kind="stable"):
-            is_face = face == number
-            key = (label[is_face.argmax()], is_face.tobytes())
-            if key in tried or not is_whole[number]:
-                continue
-            tried.add(key)
-            simpler = _relabelled(graph, label, is_face, ~every)
-            simpler_m3 = costs.total_m3(simpler)
-            if simpler_m3 < total_m3 - _GAIN_M3:
-                label, total_m3 = simpler, simpler_m3
-                break
-        else:
-            return label, total_m3
-
-
 class _Graph(NamedTuple):
     """Costs for compiled code, and the sides of each cell. order: the ends of sides, those of the first cells of all
     sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
@@ -204,9 +144,112 @@ class _Graph(NamedTuple):
     side_m3: np.ndarray
     order: np.ndarray
     first: np.ndarray
+    is_step: np.ndarray
+    line: np.ndarray
+    length_m: np.ndarray
+
+
+def least_cost(costs: Costs) -> np.ndarray:
+    """int (c,): the plane over each cell."""
+    graph = costs.graph._replace(side_m3=costs.side_m3.copy())
+    return np.asarray(_least_cost(graph, costs.side_m3, costs.prices))
 
 
 @entry
+def _least_cost(graph: _Graph, side_m3: np.ndarray, prices: PlanePrices) -> np.ndarray:
+    """The same. side_m3: of all sides; in the graph, which has a copy, steps are forbidden on lines that are dispensed
+    with."""
+    label, every = np.zeros(len(graph.cell_m3), np.int64), np.ones(len(graph.cell_m3), np.bool_)
+    label, total_m3 = _with_fewer_faces(graph, prices, label, every)
+    is_tried = _steps_m(graph, label) < 0
+    while True:
+        steps_m, line = _steps_m(graph, label), -1
+        for each in np.flatnonzero((steps_m > 0) & (steps_m < prices.short_line_m) & ~is_tried):
+            if line < 0 or steps_m[each] < steps_m[line]:
+                line = each
+        if line < 0:
+            return label
+        is_tried[line], on_line = True, np.flatnonzero(graph.line == line)
+        face = _faces(graph, label)
+        beside = np.zeros(len(label), np.bool_)
+        for side in on_line:
+            one, other = graph.pair[side]
+            if graph.is_step[side, label[one], label[other]]:
+                beside[face[one]] = beside[face[other]] = True
+            graph.side_m3[side] += _FORBIDDEN_M3 * graph.is_step[side]
+        other_label, other_m3 = _with_fewer_faces(graph, prices, label, beside[face])
+        if other_m3 < total_m3 - _GAIN_M3:
+            label, total_m3 = other_label, other_m3
+        else:
+            for side in on_line:
+                graph.side_m3[side] = side_m3[side]
+
+
+@allocating
+def _with_fewer_faces(
+    graph: _Graph, prices: PlanePrices, label: np.ndarray, is_inside: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The labels (c,) after some cells, bool (c,), have got the planes of least cost, and faces of such cells have
+    given way to those around them, the smallest first; and what they cost."""
+    every = np.ones(graph.cell_m3.shape[1], np.bool_)
+    label = _relabelled(graph, label, is_inside, every)
+    total_m3 = _total_m3(graph, prices, label)
+    # the planes of faces that have been tried, -1 over other cells
+    tried, num_tried = np.empty((8, len(label)), np.int64), 0
+    while True:
+        face, is_better = _faces(graph, label), False
+        size = np.bincount(face)
+        is_open = np.bincount(face[is_inside], minlength=len(size)) == size
+        while is_open.any() and not is_better:
+            number = -1
+            for each in np.flatnonzero(is_open):
+                if number < 0 or size[each] < size[number]:
+                    number = each
+            is_open[number], is_new = False, True
+            if num_tried == len(tried):
+                tried = np.concatenate((tried, np.empty_like(tried)))
+            tried[num_tried] = np.where(face == number, label, -1)
+            for t in range(num_tried):
+                is_new &= (tried[t] != tried[num_tried]).any()
+            if is_new:
+                num_tried += 1
+                simpler = _relabelled(graph, label, face == number, ~every)
+                simpler_m3 = _total_m3(graph, prices, simpler)
+                if simpler_m3 < total_m3 - _GAIN_M3:
+                    label, total_m3, is_better = simpler, simpler_m3, True
+        if not is_better:
+            return label, total_m3
+
+
+@both
+def _total_m3(graph: _Graph, prices: PlanePrices, label: np.ndarray) -> float:
+    """What planes over the cells cost."""
+    num_faces, num_lines = _faces(graph, label).max() + 1, np.count_nonzero(_steps_m(graph, label))
+    total_m3 = _sum(graph.cell_m3, graph.pair, graph.side_m3, label)
+    return total_m3 + prices.face_m3 * num_faces + prices.line_m3 * num_lines
+
+
+@allocating
+def _steps_m(graph: _Graph, label: np.ndarray) -> np.ndarray:
+    """(l,): how much of each line has steps."""
+    result = np.zeros(graph.line.max() + 1 if len(graph.line) else 0)
+    for side, line in enumerate(graph.line):
+        if graph.is_step[side, label[graph.pair[side, 0]], label[graph.pair[side, 1]]]:
+            result[line] += graph.length_m[side]
+    return result
+
+
+@both
+def _faces(graph: _Graph, label: np.ndarray) -> np.ndarray:
+    """int (c,): numbers of the connected faces, in the order of their first cells."""
+    link = graph.pair.copy()
+    for side in range(len(link)):
+        if label[link[side, 0]] != label[link[side, 1]]:
+            link[side, 1] = link[side, 0]
+    return grouped(len(label), link)
+
+
+@allocating
 def _relabelled(graph: _Graph, label: np.ndarray, is_inside: np.ndarray, is_used: np.ndarray) -> np.ndarray:
     """The labels (c,) after some cells, bool (c,), have got planes that are used, bool (k,), or around them."""
     cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
@@ -264,7 +307,8 @@ def _taken(graph: _Graph, label: np.ndarray, is_free: np.ndarray, number: int) -
 
     This is a minimum cut by blocking flows (Dinic, 1970); those cells are taken that a path still reaches in the end.
     """
-    cell_m3, pair, side_m3, order, first = graph
+    cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
+    order, first = graph.order, graph.first
     num_cells, num_sides = len(label), len(pair)
     # steps from the nearest start; which of its sides a cell tries next
     level, place = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -20,8 +20,7 @@ _STEP_M = 0.25
 _MIN_BORDER = 3
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """The places ``normal @ xy == offset_m`` from ``low_m`` to ``high_m`` along :attr:`direction`."""
 
     normal: np.ndarray
@@ -36,8 +35,8 @@ class Line:
     def along(self, xy_m: np.ndarray, reach_m: float) -> Line:
         """The line as far as places (m, 2) beside it, and further."""
         place = xy_m @ self.direction
-        low, high = (self.low_m, self.high_m) if np.isfinite(self.low_m) else (np.inf, -np.inf)
-        return replace(self, low_m=min(low, place.min() - reach_m), high_m=max(high, place.max() + reach_m))
+        low, high = (self.low_m, self.high_m) if self.low_m > -np.inf else (np.inf, -np.inf)
+        return self._replace(low_m=min(low, place.min() - reach_m), high_m=max(high, place.max() + reach_m))
 
 
 def as_arrays(lines: Sequence[Line]) -> tuple[np.ndarray, np.ndarray]:

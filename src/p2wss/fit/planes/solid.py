@@ -7,8 +7,9 @@ of different faces are one only where the planes meet.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import fmean
 
 import numpy as np
@@ -205,8 +206,10 @@ class _Network:
     def mesh(self) -> Mesh | None:
         """The closed mesh, None if there is none."""
         border = {edge: OUTSIDE for edge in self._face if edge[::-1] not in self._face}
-        roofs, floor = self._triangles(self._face), self._triangles(border)[:, ::-1]
-        vertex_m, triangle = np.array(self._vertices), np.concatenate([roofs, floor, self._walls()])
+        vertex_m = np.array(self._vertices)
+        triangle = np.concatenate(
+            [self._triangles([*self._rings(self._face), *self._rings(border)]), self._walls()]
+        )
         used, index = np.unique(triangle, return_inverse=True)
         vertex_m, triangle = vertex_m[used], index.reshape(-1, 3).astype(np.int32)
         is_solid = vertex_m[:, 2].min() >= 0.0 and is_closed(vertex_m, triangle)
@@ -228,8 +231,9 @@ class _Network:
                 if not onward:
                     break
                 # where a face touches itself, the way goes on around the same part of it
-                turns = [self._turn(start, end, each) for each in onward]
-                start, end = end, onward[int(np.argmin(turns))]
+                if len(onward) > 1:
+                    onward.sort(key=partial(self._turn, start, end))
+                start, end = end, onward[0]
             yield from ((number, each.tolist()) for each in simple_rings(ring))
 
     def _turn(self, before: int, place: int, after: int) -> float:
@@ -238,9 +242,9 @@ class _Network:
         turn = np.arctan2(back[1], back[0]) - np.arctan2(on[1], on[0])
         return float((turn - 1e-12) % (2 * np.pi))
 
-    def _triangles(self, face: dict[tuple[int, int], int]) -> np.ndarray:
-        """Vertices (t, 3) of the triangles of all connected faces, counter-clockwise seen from above."""
-        numbers, places = zip(*self._rings(face), strict=True)
+    def _triangles(self, rings: Sequence[tuple[int, list[int]]]) -> np.ndarray:
+        """Vertices (t, 3) of the triangles of all connected faces, seen from outside: of roofs, then of floors."""
+        numbers, places = zip(*rings, strict=True)
         xy_m, number = np.array(self._xy_m), np.repeat(np.arange(len(places)), [*map(len, places)])
         exterior = np.asarray(shapely.linearrings(xy_m[np.concatenate(places)], indices=number), object)
         polygon, is_hole = np.asarray(shapely.polygons(exterior), object), ~shapely.is_ccw(exterior)
@@ -254,7 +258,10 @@ class _Network:
         ring = np.repeat(np.arange(len(order)), [len(places[i]) for i in order])
         number_of_face = np.unique(face_of_ring[order], return_inverse=True)[1]
         corner_m = xy_m[np.concatenate([places[i] for i in order])]
-        return triangulated(corner_m, np.array(vertex), ring, number_of_face)[0]
+        triangle, face = triangulated(corner_m, np.array(vertex), ring, number_of_face)
+        is_floor = np.array(numbers)[np.unique(face_of_ring)][face] == OUTSIDE
+        triangle[is_floor] = triangle[is_floor, ::-1]
+        return triangle
 
     def _walls(self) -> list[list[int]]:
         """Vertices (t, 3) of the triangles of all walls."""
