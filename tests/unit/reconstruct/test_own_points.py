@@ -276,7 +276,7 @@ def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
     def found(roof_m: np.ndarray, low_m: np.ndarray) -> np.ndarray:
         point_m = np.vstack([roof_m, low_m])
         classes = np.repeat([BUILDING_CLASS, UNCLASSIFIED_CLASS], [len(roof_m), len(low_m)]).astype(np.uint8)
-        return shaft_points(polygon, point_m, classes, roof_m)
+        return shaft_points(polygon, point_m, classes, roof_m, 0.5)
 
     shaft_m = found(roof_m[~well], floor_m)
     assert len(shaft_m) > 30 and (shaft_m[:, 2] == 1.0).all()
