@@ -38,11 +38,12 @@ class Rules:
     strips_m: points this near to the border may be another building's: the widest of these strips that leaves a core.
     band_m: what the building has at the strip is seen within this distance of the border. core_m: half the width of a
     wing, less the strip; narrower ones have no strip, because their own roof looks like one. step_m: between a surface
-    of the neighbour and the points of the building nearest to it; beyond the border, points may be so much lower. Of
-    both, ``num_near`` are looked at. reach_m: points beyond the border show nothing further away. most_per_m2: points
-    of which planes are grown. deep_share: where the density of a plane's points further within is a larger share of
-    that in the strip, the plane is the building's. beyond_share: a plane goes on beyond the border where it has more
-    points there than this share of those in the strip.
+    of the neighbour and the ``num_near`` points of the building nearest to it; the highest of the ``num_beyond`` nearest
+    beyond the border may be so much lower. reach_m: points beyond the border show nothing further away. most_per_m2:
+    points of which planes are grown. deep_share: where the density of a plane's points further within is a larger share
+    of that in the strip, the plane is the building's. turn: difference of the slopes of planes that cross, as tangent.
+    beyond_share: a plane goes on beyond the border where it has more points there than this share of those in the
+    strip.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -50,12 +51,12 @@ class Rules:
     core_m: float = 0.3
     step_m: float = 0.5
     num_near: int = 4
+    num_beyond: int = 16
     reach_m: float = 1.5
     most_per_m2: float = 6.0
     deep_share: float = 0.1
     beyond_share: float = 0.5
     turn: float = 0.15
-    num_beyond: int = 16
 
 
 RULES = Rules()
