@@ -16,10 +16,10 @@ _CELL_M = 0.5
 _WALL_CELL_M, _WALL_SHARE, _SAME_HEIGHT_M, _BELOW_TOP_M = 0.6, 0.25, 0.3, 2.0
 
 # Shafts: areas of so many square metres of discs of this radius, or of this multiple of the distance between points,
-# with low points within this radius. Points are low this far below all of so many points on the roof beside them; this
-# quantile of them is the floor. Places of floors have this share of the spacing of the points: more of these, and the
-# floor wins over the few returns from walls.
-_MIN_SHAFT_M2, _SHAFT_RADIUS_M, _NUM_GAPS = 1.5, 0.6, 2.0
+# with low points near to this share of them. Points are low this far below all of so many points on the roof beside
+# them; this quantile of them is the floor. Places of floors have this share of the spacing of the points: more of
+# these, and the floor wins over the few returns from walls.
+_MIN_SHAFT_M2, _SHAFT_RADIUS_M, _NUM_GAPS, _LOW_SHARE = 1.5, 0.6, 2.0, 0.2
 _FLOOR_STEP = 0.7
 _BELOW_ROOF_M, _NUM_BESIDE, _MIN_LOW_POINTS, _FLOOR_QUANTILE = 2.0, 4, 3, 0.2
 
@@ -131,10 +131,10 @@ def shaft_points(
         floor_m, low_z = place_m[area == number], low_m[area_of_low == number, 2]
         if len(low_z) < _MIN_LOW_POINTS:
             continue
-        seen_m = floor_m[nearest(low_m[:, :2], floor_m)[0][:, 0] < radius_m]
-        if len(seen_m) * step_m**2 >= _MIN_SHAFT_M2:
+        num_near = (nearest(low_m[:, :2], floor_m)[0] < radius_m).sum()
+        if num_near >= _LOW_SHARE * len(floor_m):
             floor_z = np.quantile(low_z, _FLOOR_QUANTILE)
-            floors.append(np.column_stack([seen_m, np.full(len(seen_m), floor_z)]))
+            floors.append(np.column_stack([floor_m, np.full(len(floor_m), floor_z)]))
     return np.concatenate(floors)
 
 
