@@ -207,20 +207,23 @@ def test_a_point_of_the_neighbours_roof_is_the_neighbours_whatever_is_beside_it(
 
 def test_a_return_from_the_wall_at_a_corner_is_the_neighbours_though_the_street_is_nearer() -> None:
     point_m = surface({(-1, 7.9): 3.0, (7.9, 9): 15.0})[::3]
-    is_street = (point_m[:, 0] > 8) & (point_m[:, 1] < 0.7)
+    is_street = (point_m[:, 0] > 8) & (point_m[:, 1] < 1.2)
     point_m[is_street, 2] = 0.1
     wall_m = np.array([[7.8, 0.1, 9.0]])
     assert theirs(np.vstack([point_m, wall_m]))[-1]
 
 
-def test_a_roof_that_crosses_that_of_the_building_is_the_neighbours() -> None:
-    """It reaches 75 cm over the border; where the two cross, points further within are on both."""
-    point_m = surface({(-1, 9): 5.0}, slope=0.1)
-    x, y = point_m[:, 0], point_m[:, 1]
-    point_m[x > 7.25, 2] = np.maximum(5.0 + 0.1 * y, 6.8 - 0.26 * y)[x > 7.25]
-    is_strip = (x > 7.25) & (x < 8)
-    found = theirs(point_m)
-    assert found[is_strip & (y < 3)].all() and not found[~is_strip | (y > 4)].any()
+def test_a_gable_that_crosses_the_roof_of_the_building_is_the_neighbours() -> None:
+    """It reaches a metre over the border; where the two cross, points further within are on both."""
+    x, y = (xy := grid((-1, -1), (11, 14))).T
+    above_m = np.where(x > 9, np.minimum(0.35 * (8 - y), 0.35 * (y - 3)), 0.0)
+    noise_m = np.random.default_rng(0).normal(0, 0.03, len(xy))
+    is_beside = (x < 0) | (y < 0) | (y > 13)
+    z = np.where(is_beside, 0.0, 5 - 0.05 * y + np.maximum(above_m, 0) + noise_m)
+    ring = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 13.0], [0.0, 13.0]])
+    point_m, classes = np.column_stack([xy, z]), np.full(len(xy), BUILDING_CLASS, np.uint8)
+    found = own_classes([ring], point_m, classes) == NEIGHBOUR_CLASS
+    assert found[(x < 10) & (above_m > 0.75)].all() and not found[(x < 9) | (x > 10)].any()
 
 
 def test_the_roof_of_the_neighbour_is_told_by_a_step_of_half_a_metre() -> None:
