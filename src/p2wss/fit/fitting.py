@@ -26,7 +26,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
 
 METHOD = "fit"
-# points of class ground this far inside the footprint show that no building is there
+# points of class ground, or low ones in a gap of the roof, this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
 
 
@@ -127,7 +127,7 @@ def prepare(task: _Task) -> _Prepared | str:
     open_m = np.zeros((0, 3))
     if len(roof_m) >= MIN_CLASSIFIED_POINTS:
         open_m = ground_points(polygon, building.point_m, building.classification, _GROUND_INSIDE_M)
-        shaft_m = shaft_points(polygon, building.point_m, building.classification, roof_m)
+        shaft_m = shaft_points(polygon, building.point_m, building.classification, roof_m, _GROUND_INSIDE_M)
         is_ground = shaft_m[:, 2] < MIN_HEIGHT_M
         roof_m, open_m = np.vstack([roof_m, shaft_m[~is_ground]]), np.vstack([shaft_m[is_ground], open_m])
     point_m = np.vstack([roof_m, open_m])

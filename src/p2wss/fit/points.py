@@ -74,15 +74,21 @@ def ground_points(
 
 
 def shaft_points(
-    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, roof_m: np.ndarray
+    polygon: shapely.Polygon,
+    point_m: np.ndarray,
+    classification: np.ndarray,
+    roof_m: np.ndarray,
+    inside_m: float,
 ) -> np.ndarray:
     """Points (k, 3) on the floors of shafts and other places within the polygon that no roof covers: compact areas
-    without points on the roof (r, 3) whose points are far below those on the roof beside them.
+    without points on the roof (r, 3) whose points are far below those on the roof beside them. Points less than
+    ``inside_m`` within the polygon show none, as the building's own walls are seen from outside, too.
 
     Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
     """
     low_m = point_m[~has_class(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
-    low_m = low_m[shapely.contains_xy(polygon, low_m[:, 0], low_m[:, 1])]
+    within = polygon.buffer(-inside_m)
+    low_m = low_m[shapely.contains_xy(within, low_m[:, 0], low_m[:, 1])]
     if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
         return np.zeros((0, 3))
     _, beside = nearest(roof_m[:, :2], low_m[:, :2], _NUM_BESIDE)

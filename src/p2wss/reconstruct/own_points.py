@@ -26,7 +26,7 @@ from p2wss.data.las_classes import (
     has_class,
 )
 from p2wss.data.points import MIN_HEIGHT_M
-from p2wss.fit.planes.detection import detect
+from p2wss.fit.planes.detection import detect, distances
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 from p2wss.skeleton import ordering
@@ -41,22 +41,25 @@ class Rules:
     strips_m: points this near to the border may be another building's: the widest of these strips that leaves a core.
     band_m: what the building has at the strip is seen within this distance of the border. core_m: half the width of a
     wing, less the strip; narrower ones have no strip, because their own roof looks like one. step_m: between a surface
-    of the neighbour and the points of the building nearest to it; beyond the border, points may be so much lower. Of
-    both, ``num_near`` are looked at. reach_m: points beyond the border show nothing further away. most_per_m2: points
-    of which planes are grown. deep_share: where the density of a plane's points further within is a larger share of
-    that in the strip, the plane is the building's. beyond_share: a plane goes on beyond the border where it has more
-    points there than this share of those in the strip.
+    of the neighbour and the ``num_near`` points of the building nearest to it; the highest of the ``num_beyond`` nearest
+    beyond the border may be so much lower. reach_m: points beyond the border show nothing further away. most_per_m2:
+    points of which planes are grown. deep_share: where the density of a plane's points further within is a larger share
+    of that in the strip, the plane is the building's. turn: difference of the slopes of planes that cross, as tangent.
+    beyond_share: a plane goes on beyond the border where it has more points there than this share of those in the
+    strip.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
     band_m: float = 2.5
     core_m: float = 0.3
-    step_m: float = 0.7
+    step_m: float = 0.5
     num_near: int = 4
+    num_beyond: int = 16
     reach_m: float = 1.5
     most_per_m2: float = 6.0
     deep_share: float = 0.1
     beyond_share: float = 0.5
+    turn: float = 0.15
 
 
 RULES = Rules()
@@ -133,6 +136,13 @@ def _theirs(
     )
     has_plane = label < len(found.plane)
     if is_deep.any():
+        # where a neighbour's plane crosses a larger one of the building, points of the latter are on both
+        turn = plane[:, None, :2] - plane[:-1, :2]
+        crosses = (np.hypot(turn[..., 0], turn[..., 1]) > RULES.turn)[label[is_deep]]
+        is_on = distances(plane[:-1], point_m[is_deep]) < _DETECTION.distance_m
+        largest = np.where(is_on & crosses, num_deep[:-1], 0).max(axis=1, initial=0)
+        shared = label[is_deep][largest > num_deep[label[is_deep]]]
+        num_deep = num_deep - np.bincount(shared, minlength=len(plane))
         is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
     else:
         # under plants: planes that have most of their points here, and what is on none
@@ -143,13 +153,13 @@ def _theirs(
     result = is_near & is_high & ~(has_plane & is_own[label])
     near_z, rise_m = point_m[is_near, 2], _rise_m(surface[is_near], surface[shows])
     beyond_m = point_m[is_solid & ~inside]
-    far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_near, len(beyond_m)))
+    far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_beyond, len(beyond_m)))
     higher_m = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf) - near_z[:, None]
     most_m = higher_m.max(axis=1)
     goes_on = has_plane & (num_beyond > RULES.beyond_share * num_near)[label]
     # without points beyond, nothing shows that the building ends here
     as_high = (most_m > -RULES.step_m) | np.isinf(most_m) | goes_on[is_near]
-    as_low = (np.abs(higher_m) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
+    as_low = (np.abs(higher_m[:, : RULES.num_near]) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
     result[is_near] &= np.where(rise_m > 0, as_high, as_low) & (np.abs(rise_m) > RULES.step_m)
     return result
 

@@ -138,7 +138,7 @@ def test_a_roof_that_rises_from_the_level_of_the_building_is_the_neighbours_wher
     x, y = point_m[:, 0], point_m[:, 1]
     point_m[x > 7.5, 2] += 0.12 * y[x > 7.5]
     found, is_strip = theirs(point_m), (x > 7.5) & (x < 8)
-    assert found[is_strip & (y > 6.5)].all() and not found[~is_strip | (y < 5)].any()
+    assert found[is_strip & (y > 6.5)].all() and not found[~is_strip | (y < 4)].any()
 
 
 def test_a_low_level_at_the_border_is_the_buildings_where_the_neighbour_has_none_as_low() -> None:
@@ -203,6 +203,32 @@ def test_a_point_of_the_neighbours_roof_is_the_neighbours_whatever_is_beside_it(
     found = theirs(np.vstack([point_m[~beside], street_m]))
     kept_m = point_m[~beside]
     assert (found[: len(kept_m)] == ((kept_m[:, 0] > 7.7) & (kept_m[:, 0] < 8))).all()
+
+
+def test_a_return_from_the_wall_at_a_corner_is_the_neighbours_though_the_street_is_nearer() -> None:
+    point_m = surface({(-1, 7.9): 3.0, (7.9, 9): 15.0})[::3]
+    is_street = (point_m[:, 0] > 8) & (point_m[:, 1] < 1.2)
+    point_m[is_street, 2] = 0.1
+    wall_m = np.array([[7.8, 0.1, 9.0]])
+    assert theirs(np.vstack([point_m, wall_m]))[-1]
+
+
+def test_a_gable_that_crosses_the_roof_of_the_building_is_the_neighbours() -> None:
+    """It reaches a metre over the border; where the two cross, points further within are on both."""
+    x, y = (xy := grid((-1, -1), (11, 14))).T
+    above_m = np.where(x > 9, np.minimum(0.35 * (8 - y), 0.35 * (y - 3)), 0.0)
+    noise_m = np.random.default_rng(0).normal(0, 0.03, len(xy))
+    is_beside = (x < 0) | (y < 0) | (y > 13)
+    z = np.where(is_beside, 0.0, 5 - 0.05 * y + np.maximum(above_m, 0) + noise_m)
+    ring = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 13.0], [0.0, 13.0]])
+    point_m, classes = np.column_stack([xy, z]), np.full(len(xy), BUILDING_CLASS, np.uint8)
+    found = own_classes([ring], point_m, classes) == NEIGHBOUR_CLASS
+    assert found[(x < 10) & (above_m > 0.75)].all() and not found[(x < 9) | (x > 10)].any()
+
+
+def test_the_roof_of_the_neighbour_is_told_by_a_step_of_half_a_metre() -> None:
+    point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 3.6})
+    assert (theirs(point_m) == ((point_m[:, 0] > 7.5) & (point_m[:, 0] < 8))).all()
 
 
 def test_the_end_of_a_low_level_beyond_the_border_is_no_neighbour() -> None:
@@ -276,13 +302,16 @@ def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
     def found(roof_m: np.ndarray, low_m: np.ndarray) -> np.ndarray:
         point_m = np.vstack([roof_m, low_m])
         classes = np.repeat([BUILDING_CLASS, UNCLASSIFIED_CLASS], [len(roof_m), len(low_m)]).astype(np.uint8)
-        return shaft_points(polygon, point_m, classes, roof_m)
+        return shaft_points(polygon, point_m, classes, roof_m, 0.5)
 
     shaft_m = found(roof_m[~well], floor_m)
     assert len(shaft_m) > 30 and (shaft_m[:, 2] == 1.0).all()
     assert (np.abs(shaft_m[:, :2] - [4, 5]) < 1.3).all()
     # points under a roof, as of a canopy, and a hole without low points, as of water on it, are no shafts
     assert not len(found(roof_m, floor_m)) and not len(found(roof_m[~well], floor_m[:0]))
+    # nor is the shadow of a higher neighbour, where only the wall to the street is seen
+    street_m = np.column_stack([np.linspace(6.0, 7.9, 20), np.full((20, 2), [0.2, 1.0])])
+    assert not len(found(roof_m[(roof_m[:, 0] < 6) | (roof_m[:, 1] > 3)], street_m))
     # nor is a place that is not far below
     assert not len(found(roof_m[~well], np.add(floor_m, (0, 0, 9.5))))
 
