@@ -16,7 +16,7 @@ import numpy as np
 from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
-from p2wss.skeleton.compiled import allocating, both, entry
+from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped, groups
 from p2wss.skeleton.nearest import nearest
 
@@ -286,7 +286,7 @@ def _expanded(graph: _Graph, label: np.ndarray, is_free: np.ndarray, is_used: np
     return label
 
 
-@both
+@inner
 def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.ndarray) -> float:
     """What labels cost, without the prices of faces."""
     total_m3 = 0.0
