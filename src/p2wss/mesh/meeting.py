@@ -132,8 +132,7 @@ def _equations(
                     scale[p, a, k] = along / np.sqrt(max(length, _EXACT_M))
                     scale[p, 3, k] -= base[p, a] * scale[p, a, k]
                 x, y = -y, x
-        for a in range(3):
-            row[p, 3] -= row[p, a] * base[p, a]
+        row[p, 3] = -(row[p, :3] * base[p]).sum()
     return row, scale
 
 
@@ -142,10 +141,7 @@ def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.nda
     """How far the furthest of the planes at each point is from it. point_m: (n, 4), with a 1. at, plane: pairs."""
     result = np.zeros(len(point_m))
     for k, place in enumerate(at):
-        off_m = 0.0
-        for a in range(4):
-            off_m += row[plane[k], a] * point_m[place, a]
-        result[place] = max(result[place], abs(off_m))
+        result[place] = max(result[place], abs((row[plane[k]] * point_m[place]).sum()))
     return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import entry
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -35,20 +35,15 @@ def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.nda
 
 @entry
 def _squared_distances(point_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
-    nearest, edge, inward, normal = (
-        np.full(len(point_m), np.inf),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty(3),
-    )
+    nearest, edge, inward = np.full(len(point_m), np.inf), np.empty((3, 3)), np.empty((3, 3))
     for corner in corner_m:
         for k in range(3):
             edge[k] = corner[(k + 1) % 3] - corner[k]
-        _cross(edge[0], edge[1], normal)
+        normal = np.cross(edge[0], edge[1])
         # that of a triangle without area is not a number: no point is inside
         normal /= np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
         for k in range(3):
-            _cross(normal, edge[k], inward[k])
+            inward[k] = np.cross(normal, edge[k])
         for i in range(len(point_m)):
             x, y, z = point_m[i, 0] - corner[0, 0], point_m[i, 1] - corner[0, 1], point_m[i, 2] - corner[0, 2]
             height = x * normal[0] + y * normal[1] + z * normal[2]
@@ -72,13 +67,6 @@ def _squared_distances(point_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
             if is_inside:
                 nearest[i] = min(nearest[i], height**2)
     return nearest
-
-
-@inner
-def _cross(u: np.ndarray, v: np.ndarray, result: np.ndarray) -> None:
-    """Store the cross product of two vectors."""
-    for k in range(3):
-        result[k] = u[k - 2] * v[k - 1] - u[k - 1] * v[k - 2]
 
 
 @entry

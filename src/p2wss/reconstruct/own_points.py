@@ -179,11 +179,9 @@ def _rise_above_m(place: np.ndarray, own: np.ndarray, beside: np.ndarray) -> np.
         for k, other in enumerate(beside[i]):
             x, y, z = place[i, 0] - own[other, 0], place[i, 1] - own[other, 1], place[i, 2] - own[other, 2]
             one_m, other_m = x * place[i, 3] + y * place[i, 4], x * own[other, 3] + y * own[other, 4]
-            if np.isnan(one_m):
-                one_m = 0.0 if np.isnan(other_m) else other_m
-            if np.isnan(other_m):
-                other_m = one_m
-            is_fold = min(one_m, other_m) < z < max(one_m, other_m)
-            step_m[k] = 0.0 if is_fold else z - (one_m + other_m) / 2
+            low_m, high_m = np.fmin(one_m, other_m), np.fmax(one_m, other_m)
+            if np.isnan(low_m):
+                low_m = high_m = 0.0
+            step_m[k] = 0.0 if low_m < z < high_m else z - (low_m + high_m) / 2
         result[i] = ordering.median(step_m, len(step_m))
     return result

@@ -51,10 +51,10 @@ class Spool(Lazy[int, T], Closeable):
         self._kept.pop(index, None)
         if len(self._kept) < _NUM_KEPT:
             self._kept[index] = value
-            return
-        content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
-        self._place[index] = (self._scratch.num_bytes, len(content))
-        self._scratch.append(content)
+        else:
+            content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+            self._place[index] = (self._scratch.num_bytes, len(content))
+            self._scratch.append(content)
 
     def _value(self, index: int) -> T:
         if index in self._kept:

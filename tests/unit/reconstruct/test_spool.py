@@ -25,9 +25,7 @@ def test_values_of_a_file_in_any_order(tmp_path: Path) -> None:
         _ = empty[0]
 
 
-def test_only_the_first_values_stay_in_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_first_values_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spool, "_NUM_KEPT", 1)
     with Spool[list[int]](2, tmp_path) as values:
         values[0], values[1] = [0], [1]

@@ -33,22 +33,19 @@ def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.nd
     return np.asarray((plane[label, :2] * xy_m).sum(axis=1) + plane[label, 2])
 
 
-def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
-    """Distances (m, k) of points (m, 3) from planes (k, 3), metres."""
-    off_m = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])
-    return np.asarray(off_m / np.sqrt(1 + (plane[:, :2] ** 2).sum(axis=1)))
-
-
 def fitted(point_m: np.ndarray, rows: np.ndarray, noise_m: float) -> np.ndarray:
     """The plane (3,) of some of the points (m, 3) by reweighted least squares, which come near to least absolute
     residuals. rows: int64 (k,)."""
     return np.asarray(_fit(point_m, rows, len(rows), noise_m))
 
 
-@entry
+@both
 def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> float:
     """The mean distance of some of the points (m, 3) from a plane (3,); 0 of none. rows: int64 (k,)."""
-    return _mean_m(plane, point_m, rows, len(rows))
+    total_m = 0.0
+    for row in rows:
+        total_m += _distance(plane, point_m[row])
+    return total_m / max(len(rows), 1)
 
 
 def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
@@ -294,25 +291,14 @@ def _merged(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(planes, label) after planes side by side have become one, those that differ least first, without the planes of
     too few points."""
-    num, end = len(plane), -1
-    # the points of each plane follow each other; those of one that another has taken come after those of that one
-    first, last, following = np.full(num, end), np.full(num, end), np.full(len(label), end)
-    count, rows = np.zeros(num, np.int64), np.empty(len(label), np.int64)
-    num_links = np.zeros((num, num), np.int64)
+    num, label = len(plane), label.copy()
+    num_links, residual_m = np.zeros((num, num), np.int64), np.empty(num)
     for row, number in enumerate(label):
-        if number < 0:
-            continue
-        if count[number] == 0:
-            first[number] = row
-        else:
-            following[last[number]] = row
-        last[number], count[number] = row, count[number] + 1
-        for other in neighbour[row]:
-            if label[other] >= 0:
-                num_links[min(number, label[other]), max(number, label[other])] += 1
-    residual_m = np.zeros(num)
+        for other in label[neighbour[row]]:
+            if min(number, other) >= 0:
+                num_links[min(number, other), max(number, other)] += 1
     for i in range(num):
-        residual_m[i] = _mean_m(plane[i], point_m, rows, _listed(rows, 0, first[i], following))
+        residual_m[i] = mean_distance(plane[i], point_m, np.flatnonzero(label == i))
     # how much further points are from one plane in place of two that touch in three pairs of points or more
     worse_m, joint, is_new = np.full((num, num), np.inf), np.zeros((num, num, 3)), num_links >= 3
     while True:
@@ -320,49 +306,28 @@ def _merged(
         for i in range(num):
             for j in range(i + 1, num):
                 if is_new[i, j]:
-                    is_new[i, j] = False
-                    num_one = _listed(rows, 0, first[i], following)
-                    both = _listed(rows, num_one, first[j], following)
-                    joint[i, j] = _fit(point_m, rows, both, settings.noise_m)
+                    rows_i, rows_j = np.flatnonzero(label == i), np.flatnonzero(label == j)
+                    rows, is_new[i, j] = np.concatenate((rows_i, rows_j)), False
+                    joint[i, j] = _fit(point_m, rows, len(rows), settings.noise_m)
                     worse_m[i, j] = max(
-                        _mean_m(joint[i, j], point_m, rows, num_one) - residual_m[i],
-                        _mean_m(joint[i, j], point_m, rows[num_one:], both - num_one) - residual_m[j],
+                        mean_distance(joint[i, j], point_m, rows_i) - residual_m[i],
+                        mean_distance(joint[i, j], point_m, rows_j) - residual_m[j],
                     )
                 if worse_m[i, j] < least_m:
                     least_m, one, other = worse_m[i, j], i, j
         if not least_m <= settings.simpler_m:
             break
-        following[last[one]], last[one] = first[other], last[other]
-        count[one], count[other] = count[one] + count[other], 0
-        residual_m[one] = _mean_m(joint[one, other], point_m, rows, _listed(rows, 0, first[one], following))
-        worse_m[one, other] = np.inf
+        label[label == other], worse_m[one, other] = one, np.inf
+        residual_m[one] = mean_distance(joint[one, other], point_m, np.flatnonzero(label == one))
         for i in range(num):
             for k in (one, other):
-                low, high = min(i, k), max(i, k)
-                if worse_m[low, high] < np.inf:
-                    worse_m[low, high], is_new[min(i, one), max(i, one)] = np.inf, True
+                if worse_m[min(i, k), max(i, k)] < np.inf:
+                    worse_m[min(i, k), max(i, k)], is_new[min(i, one), max(i, one)] = np.inf, True
     result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)
     for i in range(num):
-        if count[i] >= max(min_points, 1):
-            result[num_roofs] = _fit(point_m, rows, _listed(rows, 0, first[i], following), settings.noise_m)
+        rows = np.flatnonzero(label == i)
+        if len(rows) >= max(min_points, 1):
+            result[num_roofs] = _fit(point_m, rows, len(rows), settings.noise_m)
             if np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:
-                new_label[rows[: count[i]]] = num_roofs
-                num_roofs += 1
+                new_label[rows], num_roofs = num_roofs, num_roofs + 1
     return result[:num_roofs].copy(), new_label
-
-
-@inner
-def _listed(rows: np.ndarray, num: int, row: int, following: np.ndarray) -> int:
-    """How many rows there are with those that follow each other from ``row`` on, put after the first ``num``."""
-    while row >= 0:
-        rows[num], num, row = row, num + 1, following[row]
-    return num
-
-
-@inner
-def _mean_m(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray, num: int) -> float:
-    """The mean distance of the points in the first ``num`` of ``rows`` from a plane; 0 of none."""
-    total_m = 0.0
-    for t in range(num):
-        total_m += _distance(plane, point_m[rows[t]])
-    return total_m / max(num, 1)

@@ -16,7 +16,7 @@ import numpy as np
 from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
-from p2wss.skeleton.compiled import allocating, both, entry
+from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped, groups
 from p2wss.skeleton.nearest import nearest
 
@@ -163,12 +163,11 @@ def _least_cost(graph: _Graph, side_m3: np.ndarray, prices: PlanePrices) -> np.n
     label, total_m3 = _with_fewer_faces(graph, prices, label, every)
     is_tried = _steps_m(graph, label) < 0
     while True:
-        steps_m, line = _steps_m(graph, label), -1
-        for each in np.flatnonzero((steps_m > 0) & (steps_m < prices.short_line_m) & ~is_tried):
-            if line < 0 or steps_m[each] < steps_m[line]:
-                line = each
-        if line < 0:
+        steps_m = _steps_m(graph, label)
+        short = np.flatnonzero((steps_m > 0) & (steps_m < prices.short_line_m) & ~is_tried)
+        if not len(short):
             return label
+        line = short[steps_m[short].argmin()]
         is_tried[line], on_line = True, np.flatnonzero(graph.line == line)
         face = _faces(graph, label)
         beside = np.zeros(len(label), np.bool_)
@@ -201,10 +200,7 @@ def _with_fewer_faces(
         size = np.bincount(face)
         is_open = np.bincount(face[is_inside], minlength=len(size)) == size
         while is_open.any() and not is_better:
-            number = -1
-            for each in np.flatnonzero(is_open):
-                if number < 0 or size[each] < size[number]:
-                    number = each
+            number = np.where(is_open, size, len(label) + 1).argmin()
             is_open[number], is_new = False, True
             if num_tried == len(tried):
                 tried = np.concatenate((tried, np.empty_like(tried)))
@@ -290,7 +286,7 @@ def _expanded(graph: _Graph, label: np.ndarray, is_free: np.ndarray, is_used: np
     return label
 
 
-@both
+@inner
 def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.ndarray) -> float:
     """What labels cost, without the prices of faces."""
     total_m3 = 0.0
@@ -307,8 +303,7 @@ def _taken(graph: _Graph, label: np.ndarray, is_free: np.ndarray, number: int) -
 
     This is a minimum cut by blocking flows (Dinic, 1970); those cells are taken that a path still reaches in the end.
     """
-    cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
-    order, first = graph.order, graph.first
+    cell_m3, pair, side_m3, order, first = graph.cell_m3, graph.pair, graph.side_m3, graph.order, graph.first
     num_cells, num_sides = len(label), len(pair)
     # steps from the nearest start; which of its sides a cell tries next
     level, place = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
