@@ -33,6 +33,12 @@ def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.nd
     return np.asarray((plane[label, :2] * xy_m).sum(axis=1) + plane[label, 2])
 
 
+def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
+    """Distances (m, k) of points (m, 3) from planes (k, 3), metres."""
+    off_m = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])
+    return np.asarray(off_m / np.sqrt(1 + (plane[:, :2] ** 2).sum(axis=1)))
+
+
 def fitted(point_m: np.ndarray, rows: np.ndarray, noise_m: float) -> np.ndarray:
     """The plane (3,) of some of the points (m, 3) by reweighted least squares, which come near to least absolute
     residuals. rows: int64 (k,)."""
