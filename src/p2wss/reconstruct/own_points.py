@@ -46,7 +46,7 @@ class Rules:
     the border show nothing further away. most_per_m2: points of which planes are grown. deep_share: where the density
     of a plane's points further within is a larger share of that in the strip, the plane is the building's. turn:
     difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border where it
-    has more points there than this share of those in the strip.
+    has more points there than this share of those in the strip; crossing_share: of one that crosses another.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -60,6 +60,7 @@ class Rules:
     deep_share: float = 0.1
     beyond_share: float = 0.5
     turn: float = 0.15
+    crossing_share: float = 0.75
 
 
 RULES = Rules()
@@ -136,13 +137,13 @@ def _theirs(
     )
     has_plane = label < len(found.plane)
     if is_deep.any():
-        # where a neighbour's plane crosses a larger one of the building, points of the latter are on both
+        # where a plane that goes on at the neighbour crosses a larger one of the building, points of that are on both
         turn = plane[:, None, :2] - plane[:-1, :2]
         crosses = (np.hypot(turn[..., 0], turn[..., 1]) > RULES.turn)[label[is_deep]]
         is_on = distances(plane[:-1], point_m[is_deep]) < _DETECTION.distance_m
         largest = np.where(is_on & crosses, num_deep[:-1], 0).max(axis=1, initial=0)
-        shared = label[is_deep][largest > num_deep[label[is_deep]]]
-        num_deep = num_deep - np.bincount(shared, minlength=len(plane))
+        shared = np.bincount(label[is_deep][largest > num_deep[label[is_deep]]], minlength=len(plane))
+        num_deep = num_deep - shared * (num_beyond > RULES.crossing_share * num_near)
         is_own = num_deep * is_near.sum() > RULES.deep_share * num_near * is_deep.sum()
     else:
         # under plants: planes that have most of their points here, and what is on none
