@@ -95,6 +95,8 @@ def warm_product() -> None:
     from p2wss.data.building import Building
     from p2wss.data.terrain import Terrain
     from p2wss.fit import fitting
+    from p2wss.fit.planes.labelling import Costs
+    from p2wss.fit.settings import PlanePrices
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.measures import party_wall_areas_m2
@@ -111,6 +113,10 @@ def warm_product() -> None:
     for few in (point_m[::60], point_m[::8]):
         building = Building("b", "sample", (0.0, 0.0), [ring], few, np.full(len(few), 6, np.uint8), 0.0)
         fitting.fit([building], config)
+    # only roofs with four walls at one place, or with open ground within
+    pair, side = np.zeros((1, 2), np.int64), np.zeros((1, 1, 1))
+    costs = Costs(np.zeros((1, 1)), pair, side, side > 0, pair[0, :1], side[0, 0], PlanePrices())
+    costs.total_m3(costs.faces(pair[0, :1]))
     # only one with a short edge
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     # no two of the three touch
