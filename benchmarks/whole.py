@@ -5,7 +5,7 @@
 The data (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks) are not part of the project. Runs of all
 houses, of a quarter of them, of the blocks and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is installed)
 alternate, so that other work on the machine slows all of them. CPU time is divided by how much slower than usual the
-machine is just before and after the run (``figures.slowness``), and are those of the run with the median CPU time. A
+machine is just before and after the run (``figures.slowness``); of each program, the run of the median counts. A
 further house: the difference of the two runs of p2wss, and with it the start, which is taken off the blocks. Without
 the network, on one thread, with default outputs. ``--copies``: also a town of so many copies of the houses, first with
 the default outputs, then as a scene for radar: skins, GLB and Sionna's files.
