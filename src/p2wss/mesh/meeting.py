@@ -45,7 +45,8 @@ def with_meeting_planes(
     planes = mesh.planes
     num = len(planes.kind)
     vertex, plane = np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num)
-    is_free = np.isin(np.arange(num), [*free]) if free else np.zeros(num, bool)
+    is_free = np.zeros(num, bool)
+    is_free[[*free]] = True
     vertex_m = writable(mesh.vertex_m, np.float64)
     row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free)
     # any vertex of a place tells where its planes are, as they are linear

@@ -7,7 +7,7 @@ import shapely
 
 from p2wss.data import reasons
 from p2wss.data.building import Building
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, PLANT_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, PLANT_CLASSES, has_class
 from p2wss.data.points import MIN_HEIGHT_M
 
 # shares of the cells of 1 m: of the roof of a building that is changed and not gone, and least of a cause
@@ -28,7 +28,7 @@ def cause_of(building: Building) -> str:
     x, y, z = building.point_m.T
     inside = shapely.contains_xy(building.polygon, x, y)
     on_roof, classes = building.is_on_building, building.classification
-    is_plant = np.isin(classes, PLANT_CLASSES) & (z >= MIN_HEIGHT_M)
+    is_plant = has_class(classes, PLANT_CLASSES) & (z >= MIN_HEIGHT_M)
     low = (classes != BUILDING_CLASS) & (z < MIN_HEIGHT_M) | (classes == GROUND_CLASS)
     cell = np.unique(np.floor(np.column_stack([x, y])[inside]), axis=0, return_inverse=True)[1].ravel()
     num_cells = max(int(cell.max(initial=-1)) + 1, 1)

@@ -15,7 +15,7 @@ import numpy as np
 import pyproj
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES, has_class
 from p2wss.reconstruct.unclassified import with_classes
 from p2wss.storage.temporary import Closeable, Scratch
 
@@ -77,7 +77,7 @@ class CloudIndex(Closeable):
     def append(self, cloud: Cloud) -> None:
         """Add a chunk; points outside the cells are dropped."""
         self.crs = self.crs or cloud.crs
-        self.has_plants |= bool(np.isin(cloud.classification, PLANT_CLASSES).any())
+        self.has_plants |= bool(has_class(cloud.classification, PLANT_CLASSES).any())
         for first in range(0, len(cloud), _CHUNK):
             self._append(cloud, slice(first, min(first + _CHUNK, len(cloud))))
 

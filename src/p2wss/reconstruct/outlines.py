@@ -21,7 +21,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.reconstruct.unclassified import filled
 from p2wss.skeleton.groups import cell_neighbours, groups
@@ -76,7 +76,7 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
     arrays = polygon_arrays.to_polygons(polygons)
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
     result: list[shapely.Polygon] = []
-    is_free = np.isin(cloud.classification, (GROUND_CLASS, WATER_CLASS))
+    is_free = has_class(cloud.classification, (GROUND_CLASS, WATER_CLASS))
     for index, trace in enumerate(traces):
         near = np.sort(point[offset[index] : offset[index + 1]])
         xy_m = np.column_stack([cloud.x_m[near], cloud.y_m[near]])

@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.types import Polygons
 
@@ -121,7 +121,7 @@ class Estimate:
 def point_weights(classification: np.ndarray) -> np.ndarray:
     """How much each point speaks for a building, (n,): 1 on a building, -1 on the ground, less anywhere else."""
     weight = np.full(len(classification), SEARCH.other_weight)
-    weight[np.isin(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0
+    weight[has_class(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0
     weight[classification == BUILDING_CLASS] = 1.0
     return weight
 

@@ -231,9 +231,8 @@ class _Network:
                 if not onward:
                     break
                 # where a face touches itself, the way goes on around the same part of it
-                if len(onward) > 1:
-                    onward.sort(key=partial(self._turn, start, end))
-                start, end = end, onward[0]
+                turn = partial(self._turn, start, end)
+                start, end = end, min(onward, key=turn) if len(onward) > 1 else onward[0]
             yield from ((number, each.tolist()) for each in simple_rings(ring))
 
     def _turn(self, before: int, place: int, after: int) -> float:
