@@ -32,6 +32,15 @@ def test_the_wall_moves_to_where_the_roof_begins(angle_deg):
     assert ring[2:] == pytest.approx(RING[2:]) and ring[:2, 0] == pytest.approx(RING[:2, 0])
 
 
+def test_a_wall_moves_by_the_median_of_what_its_length_shows():
+    """A bay of a third of the length reaches the edge."""
+    point_m, classes = survey()
+    x, y = point_m[:, :2].T
+    is_bay = (x > 0) & (x < 4) & (y > 0) & (y < 0.6)
+    point_m[is_bay, 2], classes[is_bay] = 6.0, 6
+    assert moved(point_m, classes)[:2, 1] == pytest.approx(0.65, abs=0.12)
+
+
 def test_a_vertex_twice_moves_with_its_wall():
     point_m, classes = survey()
     inside = (point_m[:, :2] > 0).all(axis=1) & (point_m[:, :2] < RING[2]).all(axis=1)

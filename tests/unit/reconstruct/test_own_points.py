@@ -226,6 +226,19 @@ def test_a_gable_that_crosses_the_roof_of_the_building_is_the_neighbours() -> No
     assert found[(x < 10) & (above_m > 0.75)].all() and not found[(x < 9) | (x > 10)].any()
 
 
+def test_a_dormer_that_ends_a_little_beyond_the_border_is_the_buildings() -> None:
+    """It crosses the roof, like a gable of the neighbour, but hardly anything of it is there."""
+    x, y = (xy := grid((-1, -1), (11, 14))).T
+    slope_z = 5 + 0.8 * (10 - x)
+    is_dormer = (y > 4) & (y < 8) & (slope_z < 6) & (x < 10.4)
+    is_beside = (x < 0) | (y < 0) | (y > 13) | (x > 10)
+    noise_m = np.random.default_rng(0).normal(0, 0.03, len(xy))
+    z = np.where(is_dormer, 6, np.where(is_beside, 0.0, slope_z)) + noise_m
+    ring = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 13.0], [0.0, 13.0]])
+    point_m, classes = np.column_stack([xy, z]), np.full(len(xy), BUILDING_CLASS, np.uint8)
+    assert not (own_classes([ring], point_m, classes) == NEIGHBOUR_CLASS)[x < 10].any()
+
+
 def test_the_roof_of_the_neighbour_is_told_by_a_step_of_half_a_metre() -> None:
     point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 3.6})
     assert (theirs(point_m) == ((point_m[:, 0] > 7.5) & (point_m[:, 0] < 8))).all()
