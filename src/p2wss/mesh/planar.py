@@ -63,19 +63,24 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
             # none, or a vertex has come to where another one is, and four walls share an upright edge
             result = None
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
-    return _with_wide_triangles(mesh) if is_narrow.any() else mesh
+    return with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool)) if is_narrow.any() else mesh
 
 
-def _with_wide_triangles(mesh: Mesh) -> Mesh:
-    """The mesh whose faces are divided by constrained Delaunay triangulation; the mesh itself if a face is no valid
-    polygon, or has a vertex within, or if two faces in one place, as of a wall without thickness, share a diagonal."""
+def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
+    """The mesh whose faces are divided by constrained Delaunay triangulation, without those vertices within straight
+    edges that do not stay, bool (v,); the mesh itself if a face is no valid polygon, or has a vertex within, or if two
+    faces in one place, as of a wall without thickness, share a diagonal."""
     first = np.unique(mesh.face, return_index=True)[1]
-    normal = mesh.planes.normal[mesh.planes.number[first]]
+    rings = [[ring[stays[ring]] for ring in surface.rings] for surface in mesh.surfaces]
+    if min(len(ring) for face in rings for ring in face) < 3:
+        return mesh
     triangle, face = triangulated_in_space(
-        mesh.vertex_m, [surface.rings for surface in mesh.surfaces], normal
+        mesh.vertex_m, rings, mesh.planes.normal[mesh.planes.number[first]]
     )
     result = Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
-    return result if len(triangle) == len(mesh.triangle) and result.is_closed else mesh
+    # each vertex within an edge was a corner of two triangles more than are left without it
+    is_whole = len(triangle) == len(mesh.triangle) - 2 * np.count_nonzero(~stays)
+    return result.part(slice(None)) if is_whole and result.is_closed else mesh
 
 
 def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collection[int] = ()) -> Mesh | None:
