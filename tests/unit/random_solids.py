@@ -14,7 +14,6 @@ from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.directions import directions
 from p2wss.fit.mesh.parametric import kernel_angles
-from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
@@ -94,7 +93,6 @@ def with_planes(name: str, rings: Rings, seed: int, num_lines: int, is_hard: boo
     mesh = solid_below(cells, label, plane, corner_m)
     if mesh is None:
         return None
-    mesh = simplified(mesh.vertex_m, mesh.triangle) or mesh
     return _reconstruction(name, rings, 5.0, np.zeros(len(corner_m)), mesh, len(np.unique(label)))
 
 

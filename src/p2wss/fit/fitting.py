@@ -15,7 +15,6 @@ from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
 from p2wss.fit.mesh.chimneys import with_chimneys
 from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.points import ground_points, shaft_points, wall_hits
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, fit_roof, roof_loss
@@ -148,8 +147,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     planes = fit_planes(prepared.rings, raised_m, settings, prepared.open_ground.num_ground, around_m)
     if planes is None:
         return None
-    mesh = simplified(planes.mesh.vertex_m, planes.mesh.triangle) or planes.mesh
-    return _Solid(mesh, planes.num_bodies, *planes.parameters(prepared.rings), False)
+    return _Solid(planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False)
 
 
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:

@@ -44,7 +44,7 @@ def with_meeting_planes(
     """
     planes = mesh.planes
     num = len(planes.kind)
-    vertex, plane = np.divmod(np.unique(mesh.triangle * num + planes.number[:, None]), num)
+    vertex, plane = mesh.at
     is_free = np.zeros(num, bool)
     is_free[[*free]] = True
     vertex_m = writable(mesh.vertex_m, np.float64)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # a plane is upright, or faces upwards, by the z of its normal
 _UPRIGHT_NZ = 0.05
-_CONNECTION = ("twin", "face", "surfaces")
+_CONNECTION = ("twin", "face", "surfaces", "number", "at")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +137,17 @@ class Mesh:
         return surfaces_of(self.vertex_m, self.triangle, self.kind, self.label, self.face, self.twin)
 
     @cached_property
+    def number(self) -> np.ndarray:
+        """int (t,), the plane of each triangle, numbered from 0 in the order of their labels."""
+        return np.unique(self.label, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
+    def at(self) -> tuple[np.ndarray, np.ndarray]:
+        """(vertices, planes), int (k,): all pairs of a vertex and a plane there, in ascending order."""
+        size = int(self.number.max(initial=0)) + 1
+        return np.divmod(np.unique(self.triangle.astype(np.int64) * size + self.number[:, None]), size)
+
+    @cached_property
     def planes(self) -> Planes:
         """The planes that the labels stand for."""
         return Planes.of(self)
@@ -144,9 +155,7 @@ class Mesh:
     @cached_property
     def num_planes_at(self) -> np.ndarray:
         """int (v,), how many planes meet at each vertex."""
-        size = int(self.label.max()) + 1
-        pairs = np.unique(self.triangle.astype(np.int64) * size + self.label[:, None])
-        return np.bincount(pairs // size, minlength=len(self.vertex_m))
+        return np.bincount(self.at[0], minlength=len(self.vertex_m))
 
     @cached_property
     def is_closed(self) -> bool:
@@ -164,35 +173,24 @@ class Planes:
     """The planes of a mesh, numbered from 0 in the order of their labels.
 
     number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. area_m2:
-    (p,). triangle, num_vertices: of the mesh.
+    (p,).
     """
 
     number: np.ndarray
     kind: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
-    triangle: np.ndarray
-    num_vertices: int
 
     @classmethod
     def of(cls, mesh: Mesh) -> Planes:
         """The planes of a mesh; their normals are weighted by area, as that of a sliver alone is unreliable."""
-        number = np.unique(mesh.label, return_inverse=True)[1].reshape(-1)
+        number = mesh.number
         normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
         twice_m2 = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
-        return cls(number, kind, normal, twice_m2 / 2, mesh.triangle, len(mesh.vertex_m))
-
-    @cached_property
-    def at(self) -> list[set[int]]:
-        """The planes of each vertex."""
-        result: list[set[int]] = [set() for _ in range(self.num_vertices)]
-        for plane, corners in zip(self.number.tolist(), self.triangle.tolist(), strict=True):
-            for vertex in corners:
-                result[vertex].add(plane)
-        return result
+        return cls(number, kind, normal, twice_m2 / 2)
 
     @property
     def is_wall(self) -> np.ndarray:

@@ -47,7 +47,8 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
                 continue
             each = np.arange(len(mesh.vertex_m))
             each[gone] = end
-            free = () if walls_stay else {*mesh.planes.at[end]} ^ {*mesh.planes.at[gone]}
+            vertex, plane = mesh.at
+            free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
             moved = _met(mesh, each, short_m, free)
             if moved is None:
                 merged = _merged(mesh, end, gone)

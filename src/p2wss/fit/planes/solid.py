@@ -15,6 +15,7 @@ from statistics import fmean
 import numpy as np
 import shapely
 
+from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.arrangement import GRID_M, Arrangement, furthest_m
 from p2wss.fit.planes.detection import height_over
 from p2wss.fit.planes.lines import as_arrays
@@ -213,7 +214,7 @@ class _Network:
         used, index = np.unique(triangle, return_inverse=True)
         vertex_m, triangle = vertex_m[used], index.reshape(-1, 3).astype(np.int32)
         is_solid = vertex_m[:, 2].min() >= 0.0 and is_closed(vertex_m, triangle)
-        return Mesh.of_triangles(vertex_m, triangle) if is_solid else None
+        return simplified(vertex_m, triangle) or Mesh.of_triangles(vertex_m, triangle) if is_solid else None
 
     def _rings(self, face: dict[tuple[int, int], int]) -> Iterator[tuple[int, list[int]]]:
         """(plane, places) of closed walks that have the face to their left."""
