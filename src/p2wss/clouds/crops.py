@@ -123,10 +123,13 @@ def lowest_points(cloud: Cloud) -> np.ndarray:
     solid = np.flatnonzero(
         ~has_class(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS, BUILDING_CLASS))
     )
-    x, y, z = cloud.x_m[solid], cloud.y_m[solid], cloud.z_m[solid]
-    square = np.floor(x / _SQUARE_M) + 1j * np.floor(y / _SQUARE_M)
-    order = np.lexsort([y, x, z, square])
-    return np.asarray(solid[order[np.unique(square[order], return_index=True)[1]]])
+    square = np.floor(cloud.x_m[solid] / _SQUARE_M) + 1j * np.floor(cloud.y_m[solid] / _SQUARE_M)
+    _, number = np.unique(square, return_inverse=True)
+    least_z = np.full(len(solid), np.inf)
+    np.minimum.at(least_z, number, cloud.z_m[solid])
+    low = solid[is_low := cloud.z_m[solid] == least_z[number]]
+    order = np.lexsort([cloud.y_m[low], cloud.x_m[low], number[is_low]])
+    return low[order[np.diff(number[is_low][order], prepend=-1) > 0]]
 
 
 def low_height(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:

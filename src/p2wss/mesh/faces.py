@@ -73,10 +73,9 @@ def simple_rings(ring: list[int]) -> list[np.ndarray]:
 
 def doubled_area(ring_m: np.ndarray) -> np.ndarray:
     """The vector (3,) along the normal of a ring (n, 3), twice as long as its area (Newell's formula)."""
-    (x, y, z), (after_x, after_y, after_z) = (
-        (ring_m - ring_m[0]).T,
-        (np.roll(ring_m, -1, axis=0) - ring_m[0]).T,
-    )
+    away_m = ring_m - ring_m[0]
+    # numpy's ``roll`` takes five times as long for a few vertices
+    (x, y, z), (after_x, after_y, after_z) = away_m.T, away_m[np.arange(1 - len(ring_m), 1)].T
     return np.array([y @ after_z - z @ after_y, z @ after_x - x @ after_z, x @ after_y - y @ after_x])
 
 

@@ -111,8 +111,9 @@ def _with_straight_walls(mesh: Mesh) -> Mesh:
     place_m = np.zeros((num_columns, 2))
     place_m[column] = mesh.vertex_m[:, :2]
     # the columns of each wall, in their order along it
-    number, corner = planes.number[:, None] * num_columns, column[mesh.triangle]
-    wall, own = np.divmod(np.unique((number + corner)[planes.is_wall[planes.number]]), num_columns)
+    vertex, plane = mesh.at
+    pairs = (plane * num_columns + column[vertex])[planes.is_wall[plane]]
+    wall, own = np.divmod(np.unique(pairs), num_columns)
     along = np.column_stack([-planes.normal[wall, 1], planes.normal[wall, 0]])
     order = np.lexsort(((place_m[own] * along).sum(axis=1), wall))
     wall, own = wall[order], own[order]

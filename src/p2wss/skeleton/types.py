@@ -14,7 +14,8 @@ IntArray = np.ndarray
 def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray:
     """The array, or a copy where it is of another dtype, scattered or read-only: for each of these numba would
     compile everything once more."""
-    return np.require(array, dtype, ["C", "W"])
+    array = np.asarray(array, dtype)
+    return array if array.flags.carray else array.copy()
 
 
 def next_in_ring(ring_offset: IntArray) -> IntArray:
