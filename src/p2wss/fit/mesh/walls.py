@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import unique_rows
 from p2wss.skeleton.types import FaceKind
 
 # a vertex further from an edge of the footprint, or a wall turned further from it, is not on that edge
@@ -24,7 +23,7 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     those over a corner of the footprint are at it to the bit. A vertex that moves by more than rounding errors goes up
     or down to the planes of the roofs that meet there.
     """
-    vertex_m, triangle, kind = mesh.vertex_m, mesh.triangle, mesh.kind
+    vertex_m, planes = mesh.vertex_m, mesh.planes
     start = np.concatenate(list(rings))
     along = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - start
     length = np.hypot(along[:, 0], along[:, 1])
@@ -41,45 +40,37 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     result[at_corner, :2] = start[nearest[at_corner]]
 
     # a face is on an edge if it is turned that way and one of its vertices is there
-    face = unique_rows(np.column_stack([kind, mesh.label]))[1]
-    normal, middle_m = _face_planes(mesh, face)
-    is_wall = np.zeros(len(normal), bool)
-    is_wall[face[kind == FaceKind.WALL]] = True
-    on_edge = np.zeros((len(normal), len(start)), bool)
-    np.logical_or.at(on_edge, np.repeat(face, 3), distance_m[triangle.ravel()] <= _NEAR_M)
-    on_edge &= is_wall[:, None] & (normal[:, :2] @ outward.T >= np.sqrt(1 - _MAX_SINE**2))
-
-    is_outer = np.asarray(on_edge.any(axis=1))[face]
-    pairs = unique_rows(np.column_stack([triangle[is_outer].ravel(), np.repeat(face[is_outer], 3)]))[0]
-    reach = np.where(on_edge[pairs[:, 1]], distance_m[pairs[:, 0]], np.inf)
+    at, plane = mesh.at
+    on_edge = np.zeros((len(planes.kind), len(start)), bool)
+    np.logical_or.at(on_edge, plane, distance_m[at] <= _NEAR_M)
+    on_edge &= (planes.kind == FaceKind.WALL)[:, None]
+    on_edge &= planes.normal[:, :2] @ outward.T >= np.sqrt(1 - _MAX_SINE**2)
+    reach = np.where(on_edge[plane], distance_m[at], np.inf)
     edge, gap_m = reach.argmin(axis=1), reach.min(axis=1)
     is_off = (gap_m > _NEAR_M) & (gap_m <= reach_m)
-    for vertex in np.unique(pairs[is_off, 0]).tolist():
-        lines = edge[(pairs[:, 0] == vertex) & (gap_m <= reach_m)]
+    for vertex in np.unique(at[is_off]).tolist():
+        lines = edge[(at == vertex) & (gap_m <= reach_m)]
         place = _meeting_point(vertex_m[vertex, :2], lines, start, outward)
         if np.hypot(*(place - vertex_m[vertex, :2])) > 2 * reach_m:
             continue
         corner = int(np.hypot(*(start - place).T).argmin())
         result[vertex, :2] = start[corner] if np.hypot(*(start[corner] - place)) <= _NEAR_M else place
-        roofs = np.unique(face[(triangle == vertex).any(axis=1)])
-        roofs = roofs[~is_wall[roofs] & (normal[roofs, 2] > 0.05)]
+        roofs = plane[
+            (at == vertex) & (planes.kind[plane] != FaceKind.WALL) & (planes.normal[plane, 2] > 0.05)
+        ]
         if len(roofs):
-            slope = normal[roofs, :2] / normal[roofs, 2:]
-            shift = result[vertex, :2] - middle_m[roofs, :2]
-            result[vertex, 2] = (middle_m[roofs, 2] - (shift * slope).sum(axis=1)).mean()
+            slope = planes.normal[roofs, :2] / planes.normal[roofs, 2:]
+            middle_m = np.array([_middle_m(mesh, number) for number in roofs])
+            shift = result[vertex, :2] - middle_m[:, :2]
+            result[vertex, 2] = (middle_m[:, 2] - (shift * slope).sum(axis=1)).mean()
     # what was computed of a mesh that stays is kept
     return mesh if (result == vertex_m).all() else mesh.moved(result)
 
 
-def _face_planes(mesh: Mesh, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(unit normal, middle) of each face, (f, 3). face: (t,), that of each triangle."""
-    cross = mesh.doubled_m2
-    size = np.linalg.norm(cross, axis=1)
-    normal, middle_m = np.zeros((face.max() + 1, 3)), np.zeros((face.max() + 1, 3))
-    np.add.at(normal, face, cross)
-    np.add.at(middle_m, face, size[:, None] * mesh.corner_m.mean(axis=1))
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-    return normal, middle_m / np.maximum(np.bincount(face, size), 1e-12)[:, None]
+def _middle_m(mesh: Mesh, number: int) -> np.ndarray:
+    """The middle (3,) of a plane's triangles."""
+    own = mesh.planes.number == number
+    return np.average(mesh.corner_m[own].mean(axis=1), axis=0, weights=mesh.area_m2[own])
 
 
 def _meeting_point(
