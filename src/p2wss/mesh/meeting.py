@@ -49,11 +49,13 @@ def with_meeting_planes(
     is_free[[*free]] = True
     vertex_m = writable(mesh.vertex_m, np.float64)
     row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free)
-    # any vertex of a place tells where its planes are, as they are linear
-    _, first, place = np.unique(place, return_index=True, return_inverse=True)
-    further = np.array(list(more), int).reshape(-1, 2)
-    pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
-    at, plane = np.divmod(np.unique(pairs), num)
+    first, at = np.arange(len(vertex_m)), vertex
+    if more or (place != first).any():
+        # any vertex of a place tells where its planes are, as they are linear
+        _, first, place = np.unique(place, return_index=True, return_inverse=True)
+        further = np.array(list(more), int).reshape(-1, 2)
+        pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
+        at, plane = np.divmod(np.unique(pairs), num)
     point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
     apart_m = _apart_m(row, point_m, at, plane)
     is_off = apart_m >= _EXACT_M
@@ -62,9 +64,8 @@ def with_meeting_planes(
         moves, num_spare = np.asarray(scale.any(axis=(1, 2))), np.bincount(at) - _inverses(row[plane], at)[1]
         is_linked = moves[plane] & (is_off | (num_spare > 0))[at]
         part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
-        parts, size_of = np.unique(part, return_counts=True)
-        is_wrong = np.isin(parts, part[num:][is_off])
-        together = np.where(is_wrong, np.cumsum(size_of * is_wrong) // _TOGETHER, -1)[part]
+        is_wrong = np.bincount(part[num:][is_off], minlength=part.max() + 1) > 0
+        together = np.where(is_wrong, np.cumsum(np.bincount(part) * is_wrong) // _TOGETHER, -1)[part]
         for number in np.unique(together[together >= 0]):
             is_own, is_here = moves & (together[:num] == number), together[num:] == number
             is_here[at[is_own[plane]]] = True
