@@ -112,14 +112,12 @@ def _theirs(
     if core.is_empty or not (is_high & ~inside).any():
         return result
     inner = polygon.buffer(-RULES.band_m)
-    own = is_solid & inside
-    own[own] = ~shapely.contains_xy(inner, *point_m[own, :2].T)
-    within, beside_core = (
-        shapely.contains_xy(each, *point_m[own, :2].T)
-        for each in (polygon.buffer(-strip_m), core.buffer(2 * strip_m))
+    within, deep_within, beside_core = (
+        shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
+        for each in (polygon.buffer(-strip_m), inner, core.buffer(2 * strip_m))
     )
-    is_near = own.copy()
-    is_near[own] = beside_core & ~within
+    own = is_solid & inside & ~deep_within
+    is_near = own & ~within & beside_core
     is_deep = own & ~is_near
     if not is_near.any():
         return result
