@@ -150,10 +150,8 @@ def _header(translate: np.ndarray, metadata: Metadata) -> dict[str, Any]:
 
 def _feature(solid: Solid, translate: np.ndarray, metadata: Metadata) -> dict[str, Any]:
     vertices: list[list[int]] = []
-    geometries = [
-        _geometry("1.2", solid.block_vertex_m, solid.block, translate, vertices, metadata),
-        _geometry("2.0", solid.vertex_m, solid.surfaces, translate, vertices, metadata),
-    ]
+    levels = (("1.2", solid.block_vertex_m, solid.block), ("2.0", solid.vertex_m, solid.surfaces))
+    geometries = [_geometry(*level, translate, vertices, metadata) for level in levels if level[2]]
     building: dict[str, Any] = {"type": solid.city_type, "attributes": solid.attributes}
     if any(geometries):
         building["geometry"] = [geometry for geometry in geometries if geometry]
