@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Generic, TypeVar
@@ -14,6 +16,8 @@ import numpy as np
 
 # numbers in a pipe, of 4 bytes each: a quarter of what one holds
 _MAX_PIPED = 4096
+
+log = logging.getLogger("p2wss")
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -25,7 +29,7 @@ class Shared(Generic[S, T]):
 
     The iteration is for once. It gives the numbers of values and their results, its own ascending, then those of the
     forks. These have all that this process has in memory, but lack the threads of torch. An error of the function is
-    raised here, too. Raises ``EOFError`` if a fork is killed.
+    raised here, too. What a fork that is killed had taken, this process does at last.
     """
 
     def __init__(self, function: Callable[[S], T], values: Sequence[S], num_processes: int) -> None:
@@ -45,13 +49,24 @@ class Shared(Generic[S, T]):
             self._receivers.append(receiver)
 
     def __iter__(self) -> Iterator[tuple[int, T]]:
-        yield from self._own()
+        missing = set(range(len(self._values)))
+        for number, result in chain(self._own(), self._of_forks()):
+            missing.remove(number)
+            yield number, result
+        if missing:
+            log.warning("warning: a process was killed, perhaps for want of memory; its buildings follow")
+        for number in sorted(missing):
+            yield number, self._function(self._values[number])
+
+    def _of_forks(self) -> Iterator[tuple[int, T]]:
         os.close(self._numbers)
         for receiver in self._receivers:
-            while (message := receiver.recv()) is not None:
-                if isinstance(message, Exception):
-                    raise message
-                yield message
+            # one that was killed has closed its pipe, perhaps within a message
+            with suppress(EOFError, OSError):
+                while (message := receiver.recv()) is not None:
+                    if isinstance(message, Exception):
+                        raise message
+                    yield message
 
     def _own(self) -> Iterator[tuple[int, T]]:
         """The numbers of the values that this process takes, and their results."""

@@ -93,14 +93,15 @@ def test_error_in_a_fork() -> None:
         list(Shared(function, range(4), 2))
 
 
-def test_killed_fork() -> None:
+def test_what_a_killed_fork_had_taken_is_done_by_this_process(caplog: pytest.LogCaptureFixture) -> None:
     wait, parent = with_all(2), os.getpid()
 
-    def function(value: int) -> int:
+    def function(value: int) -> tuple[int, int]:
         wait()
         if os.getpid() != parent:
             os.kill(os.getpid(), signal.SIGKILL)
-        return value
+        return value, os.getpid()
 
-    with pytest.raises(EOFError):
-        list(Shared(function, range(4), 2))
+    results = list(Shared(function, range(7), 2))
+    assert sorted(results) == [(value, (value, parent)) for value in range(7)]
+    assert "a process was killed" in caplog.text

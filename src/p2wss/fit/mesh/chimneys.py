@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import manifold3d
 import numpy as np
 import scipy
 import shapely
@@ -19,6 +18,7 @@ from p2wss.fit.directions import directions
 from p2wss.fit.mesh.simplification import is_sound, simplified
 from p2wss.fit.settings import Chimneys
 from p2wss.mesh import Mesh
+from p2wss.mesh.booleans import manifold3d
 from p2wss.mesh.surface import topmost
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import manifold3d
 import numpy as np
 
 from p2wss.mesh import Mesh
+from p2wss.mesh.booleans import manifold3d
 from p2wss.mesh.planar import with_faces_divided
 from p2wss.mesh.rules import crosses_itself
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import manifold3d
 import numpy as np
 
 from p2wss.mesh import Mesh
+from p2wss.mesh.booleans import manifold3d
 from p2wss.reconstruct.skin import Skin
 
 # vertices nearer to each other become one

@@ -1,0 +1,26 @@
+"""The library manifold3d, for unions of solids, without threads of its own.
+
+It starts as many as there are processors with its first difference of solids, whatever ``--threads`` says. A fork of
+this process lacks them, and may wait for them forever.
+"""
+
+from __future__ import annotations
+
+import os
+
+import manifold3d
+
+__all__ = ["manifold3d"]
+
+
+def _start_without_threads() -> None:
+    """The library counts the processors that it may use once, when it starts."""
+    if hasattr(os, "sched_setaffinity"):
+        processors = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {min(processors)})
+        cube = manifold3d.Manifold.cube()
+        (cube - cube.translate((0.5, 0.5, 0.5))).num_tri()
+        os.sched_setaffinity(0, processors)
+
+
+_start_without_threads()
