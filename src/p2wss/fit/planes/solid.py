@@ -210,11 +210,11 @@ class _Network:
         vertex_m = np.array(self._vertices)
         triangle = np.concatenate(
             [self._triangles([*self._rings(self._face), *self._rings(border)]), self._walls()]
-        )
-        used, index = np.unique(triangle, return_inverse=True)
-        vertex_m, triangle = vertex_m[used], index.reshape(-1, 3).astype(np.int32)
-        is_solid = vertex_m[:, 2].min() >= 0.0 and is_closed(vertex_m, triangle)
-        return simplified(vertex_m, triangle) or Mesh.of_triangles(vertex_m, triangle) if is_solid else None
+        ).astype(np.int32)
+        if vertex_m[:, 2].min() < 0.0 or not is_closed(vertex_m, triangle):
+            return None
+        # vertices that no face uses are left out by both
+        return simplified(vertex_m, triangle) or Mesh.of_triangles(vertex_m, triangle).part(slice(None))
 
     def _rings(self, face: dict[tuple[int, int], int]) -> Iterator[tuple[int, list[int]]]:
         """(plane, places) of closed walks that have the face to their left."""
