@@ -129,7 +129,7 @@ class Mesh:
     @cached_property
     def face(self) -> np.ndarray:
         """int (t,), the number of the face of each triangle, in the order of their first triangles."""
-        return topology.face_numbers(self.triangle, self.label)
+        return topology.face_numbers(self.twin, self.label)
 
     @cached_property
     def surfaces(self) -> list[Surface]:

@@ -92,21 +92,15 @@ def _border_sides(is_border: np.ndarray, twin: np.ndarray) -> tuple[np.ndarray, 
     return result[:num], is_first[:num]
 
 
-def face_numbers(triangle: np.ndarray, label: np.ndarray) -> np.ndarray:
+def face_numbers(twin: np.ndarray, label: np.ndarray) -> np.ndarray:
     """The face, 0 to num_faces - 1 in the order of their first triangles, that each triangle is part of: int (t,).
 
-    Two triangles are of one face if they share an edge and have equal labels, or are linked so through others.
-    triangle int (t, 3), label int (t,).
+    Two triangles are of one face if they share a side and have equal labels, or are linked so through others.
+    twin: see :func:`twins`. label: int (t,).
     """
-    triangle = np.asarray(triangle, int).reshape(-1, 3)
-    if not len(triangle):
-        return np.zeros(0, int)
-    ends = np.sort(np.stack([triangle, triangle[:, NEXT]], axis=-1).reshape(-1, 2), axis=1)
-    rows = np.column_stack([ends, np.repeat(label, 3)])
-    order = np.lexsort(rows.T)
-    rows = rows[order]
-    same = np.flatnonzero((rows[1:] == rows[:-1]).all(axis=1))
-    return groups(len(triangle), np.column_stack([order[same], order[same + 1]]) // 3)
+    beside = twin // 3
+    triangle, side = np.nonzero((twin >= 0) & (label[beside] == label[:, None]))
+    return groups(len(twin), np.column_stack([triangle, beside[triangle, side]]))
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
