@@ -87,8 +87,8 @@ class Mesh:
         """The mesh with x and y in the frame ``xy @ rotation``. rotation: (2, 2)."""
         return self.moved(np.column_stack([self.vertex_m[:, :2] @ rotation, self.vertex_m[:, 2]]))
 
-    def part(self, rows: np.ndarray) -> Mesh:
-        """The mesh of some of the triangles, by mask or number, without vertices that they do not use."""
+    def part(self, rows: np.ndarray | slice) -> Mesh:
+        """The mesh of some of the triangles, by mask, number or slice, without vertices that they do not use."""
         used, triangle = np.unique(self.triangle[rows], return_inverse=True)
         triangle = triangle.reshape(-1, 3).astype(self.triangle.dtype)
         return Mesh(self.vertex_m[used], triangle, self.kind[rows], self.label[rows])
