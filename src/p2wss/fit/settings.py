@@ -156,6 +156,9 @@ class Drawing(NamedTuple):
     same_deg: float = 4.0
     # a step leaves less than this share of the points of the border on the wrong side
     wrong_share: float = 0.35
+    # the rectangle around a plane has no strip along a side where points off the plane are more than its own, by this
+    # share of all its own; swept
+    few_share: float = 0.05
     # directions of the footprint in which steps are sought, the longest first
     num_directions: int = 4
 

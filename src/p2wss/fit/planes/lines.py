@@ -91,7 +91,9 @@ def lines_of(
                     tried.append(own[number])
             steps += _steps(sides, tried, settings)
     for number, angle in enumerate(np.where(is_sloped, own, along[0]).tolist()):
-        steps += _extent(point_m[label == number, :2], angle, settings)
+        is_own = label == number
+        is_off = np.abs(heights(plane[[number]], point_m[:, :2])[:, 0] - point_m[:, 2]) > _STEP_M
+        steps += _extent(point_m[is_own, :2], point_m[is_off & ~is_own, :2], angle, settings)
     fixed, loose = ([], [*meets, *steps]) if settings.snaps_meets else (meets, steps)
     return (
         fixed
@@ -162,20 +164,31 @@ def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawi
     return result
 
 
-def _extent(xy_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
-    """The sides of the rectangle around the places (m, 2) of a plane."""
+def _extent(xy_m: np.ndarray, other_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
+    """The sides of the rectangle around the places (m, 2) of a plane, without the strips along them that have more of
+    the places (n, 2) of points off the plane."""
     normal = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     # of so few values, numpy's own percentiles take ten times as long
-    place = np.sort(xy_m @ normal.T, axis=0)
+    place, other = np.sort(xy_m @ normal.T, axis=0), other_m @ normal.T
     margin_m = (place[-1] - place[0]) / len(place) ** 0.5 / 2
     low, high = place[[round(share * (len(place) - 1)) for share in (0.01, 0.99)]]
     # the direction of the first axis is the second axis, that of the second is against the first
     (start, left), (end, right) = place[[0, -1]] + np.outer([-1, 1], [settings.reach_m] * 2)
-    return [
-        Line(normal[axis], float(offset), *span)
-        for axis, span in enumerate([(left, right), (-end, -start)])
-        for offset in (low[axis] - margin_m[axis], high[axis] + margin_m[axis])
-    ]
+    both = np.concatenate([place, other[((other >= low) & (other <= high)).all(axis=1)]])
+    order = np.argsort(both, axis=0, kind="stable")
+    # how many more of the plane than others are up to each of all places
+    num_more = np.cumsum(np.where(order < len(place), 1, -1), axis=0)
+    few, result = settings.few_share * len(place), []
+    for axis, span in enumerate([(left, right), (-end, -start)]):
+        along, num = both[order[:, axis], axis], num_more[:, axis]
+        first, last = int(num.argmin()), int(num.argmax())
+        from_m, to_m = low[axis] - margin_m[axis], high[axis] + margin_m[axis]
+        if num[first] < -few:
+            from_m = along[first : first + 2].mean()
+        if num[last] > num[-1] + few:
+            to_m = along[last : last + 2].mean()
+        result += [Line(normal[axis], float(offset_m), *span) for offset_m in (from_m, to_m)]
+    return result
 
 
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
