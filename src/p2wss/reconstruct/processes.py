@@ -10,7 +10,7 @@ from functools import partial
 from itertools import chain
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -61,12 +61,10 @@ class Shared(Generic[S, T]):
     def _of_forks(self) -> Iterator[tuple[int, T]]:
         os.close(self._numbers)
         for receiver in self._receivers:
-            # one that was killed has closed its pipe, perhaps within a message
-            with suppress(EOFError, OSError):
-                while (message := receiver.recv()) is not None:
-                    if isinstance(message, Exception):
-                        raise message
-                    yield message
+            while (message := _received(receiver)) is not None:
+                if isinstance(message, Exception):
+                    raise message
+                yield message
 
     def _own(self) -> Iterator[tuple[int, T]]:
         """The numbers of the values that this process takes, and their results."""
@@ -86,3 +84,10 @@ class Shared(Generic[S, T]):
                 sender.send(None)
             except Exception as error:
                 sender.send(error)
+
+
+def _received(receiver: Connection) -> Any:
+    """The next message, None after the last: a process that was killed has closed its pipe, perhaps within one."""
+    with suppress(EOFError, OSError):
+        return receiver.recv()
+    return None

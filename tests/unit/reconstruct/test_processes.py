@@ -80,16 +80,17 @@ def test_more_values_than_a_pipe_holds_numbers() -> None:
     assert dict(Shared(lambda value: -value, range(70_000), 2)) == {n: -n for n in range(70_000)}
 
 
-def test_error_in_a_fork() -> None:
+@pytest.mark.parametrize("error", [ZeroDivisionError, OSError, EOFError])
+def test_error_in_a_fork(error: type[Exception]) -> None:
     wait, parent = with_all(2), os.getpid()
 
     def function(value: int) -> int:
         wait()
         if os.getpid() != parent:
-            raise ZeroDivisionError("of the fork")
+            raise error("of the fork")
         return value
 
-    with pytest.raises(ZeroDivisionError, match="of the fork"):
+    with pytest.raises(error, match="of the fork"):
         list(Shared(function, range(4), 2))
 
 
