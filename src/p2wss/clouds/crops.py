@@ -127,9 +127,10 @@ def lowest_points(cloud: Cloud) -> np.ndarray:
     _, number = np.unique(square, return_inverse=True)
     least_z = np.full(len(solid), np.inf)
     np.minimum.at(least_z, number, cloud.z_m[solid])
-    low = solid[is_low := cloud.z_m[solid] == least_z[number]]
-    order = np.lexsort([cloud.y_m[low], cloud.x_m[low], number[is_low]])
-    return low[order[np.diff(number[is_low][order], prepend=-1) > 0]]
+    is_low = cloud.z_m[solid] == least_z[number]
+    low, number = solid[is_low], number[is_low]
+    order = np.lexsort([cloud.y_m[low], cloud.x_m[low], number])
+    return low[order[np.diff(number[order], prepend=-1) > 0]]
 
 
 def low_height(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:

@@ -90,10 +90,10 @@ def lines_of(
                 ):
                     tried.append(own[number])
             steps += _steps(sides, tried, settings)
+    is_off = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]) > _STEP_M
     for number, angle in enumerate(np.where(is_sloped, own, along[0]).tolist()):
         is_own = label == number
-        is_off = np.abs(heights(plane[[number]], point_m[:, :2])[:, 0] - point_m[:, 2]) > _STEP_M
-        steps += _extent(point_m[is_own, :2], point_m[is_off & ~is_own, :2], angle, settings)
+        steps += _extent(point_m[is_own, :2], point_m[is_off[:, number] & ~is_own, :2], angle, settings)
     fixed, loose = ([], [*meets, *steps]) if settings.snaps_meets else (meets, steps)
     return (
         fixed
@@ -106,14 +106,12 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
     result = []
     for ring in rings:
-        # numpy's ``roll`` takes five times as long for a few corners
-        following = np.arange(1 - len(ring), 1)
-        edge = ring[following] - ring
+        edge = np.roll(ring, -1, axis=0) - ring
         length = np.hypot(edge[:, 0], edge[:, 1])
-        before = edge[np.arange(-1, len(ring) - 1)]
+        before = np.roll(edge, 1, axis=0)
         is_reflex = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0] < 0
         for corner, step, size, here, there in zip(
-            ring, edge, length, is_reflex, is_reflex[following], strict=True
+            ring, edge, length, is_reflex, np.roll(is_reflex, -1), strict=True
         ):
             normal = np.array([step[1], -step[0]]) / size
             result.append((Line(normal, float(normal @ corner)), bool(here or there)))
