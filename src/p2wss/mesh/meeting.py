@@ -80,7 +80,7 @@ def with_meeting_planes(
 
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     """bool (t,): which triangles of a mesh face the other way than the planes that they had before."""
-    normal = before.planes.normal[before.planes.number]
+    normal = before.planes.normal[before.number]
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 

@@ -172,11 +172,9 @@ class Mesh:
 class Planes:
     """The planes of a mesh, numbered from 0 in the order of their labels.
 
-    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. area_m2:
-    (p,).
+    kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. area_m2: (p,).
     """
 
-    number: np.ndarray
     kind: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
@@ -190,7 +188,7 @@ class Planes:
         normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
-        return cls(number, kind, normal, twice_m2 / 2)
+        return cls(kind, normal, twice_m2 / 2)
 
     @property
     def is_wall(self) -> np.ndarray:

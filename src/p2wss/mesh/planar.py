@@ -75,9 +75,7 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
     rings = [[ring[stays[ring]] for ring in surface.rings] for surface in mesh.surfaces]
     if min(len(ring) for face in rings for ring in face) < 3:
         return mesh
-    triangle, face = triangulated_in_space(
-        mesh.vertex_m, rings, mesh.planes.normal[mesh.planes.number[first]]
-    )
+    triangle, face = triangulated_in_space(mesh.vertex_m, rings, mesh.planes.normal[mesh.number[first]])
     result = Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
     # each vertex within an edge was a corner of two triangles more than are left without it
     is_whole = len(triangle) == len(mesh.triangle) - 2 * np.count_nonzero(~stays)

@@ -47,11 +47,11 @@ def test_rows_of_delft(results: list[Result]) -> None:
     # no vertex leaves the plane of a face, but for what is merged
     for skin in joined:
         mesh = skin.mesh.translated(-skin.mesh.vertex_m.min(axis=0))
-        away_m = (mesh.planes.normal[mesh.planes.number][:, None] * mesh.corner_m).sum(axis=2)
+        away_m = (mesh.planes.normal[mesh.number][:, None] * mesh.corner_m).sum(axis=2)
         offset_m = np.zeros(len(mesh.planes.normal))
-        offset_m[mesh.planes.number] = away_m[:, 0]
-        away_m -= offset_m[mesh.planes.number][:, None]
-        assert np.abs(away_m[mesh.planes.area_m2[mesh.planes.number] > 0.1]).max() < 2 * TOLERANCE_M
+        offset_m[mesh.number] = away_m[:, 0]
+        away_m -= offset_m[mesh.number][:, None]
+        assert np.abs(away_m[mesh.planes.area_m2[mesh.number] > 0.1]).max() < 2 * TOLERANCE_M
 
 
 def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:

@@ -69,7 +69,7 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
 
 def _middle_m(mesh: Mesh, number: int) -> np.ndarray:
     """The middle (3,) of a plane's triangles."""
-    own = mesh.planes.number == number
+    own = mesh.number == number
     return np.average(mesh.corner_m[own].mean(axis=1), axis=0, weights=mesh.area_m2[own])
 
 

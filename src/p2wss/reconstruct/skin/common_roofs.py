@@ -76,11 +76,11 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
     on_floor, on_moving = np.zeros((2, len(mesh.vertex_m)), bool)
     on_floor[mesh.triangle[mesh.kind == FaceKind.GROUND]] = True
     moves = np.ones(len(planes.kind), bool)
-    moves[planes.number[on_floor[mesh.triangle].any(axis=1)]] = False
-    on_moving[mesh.triangle[moves[planes.number]]] = True
+    moves[mesh.number[on_floor[mesh.triangle].any(axis=1)]] = False
+    on_moving[mesh.triangle[moves[mesh.number]]] = True
     is_free, may_move = on_moving.tolist(), moves.tolist()
     ends = np.column_stack([mesh.triangle.ravel(), mesh.triangle[:, NEXT].ravel()]).tolist()
-    beyond = dict(zip(map(tuple, ends), np.repeat(planes.number, 3).tolist(), strict=True))
+    beyond = dict(zip(map(tuple, ends), np.repeat(mesh.number, 3).tolist(), strict=True))
     found: dict[tuple[int, int, int], _Step] = {}
     for pair in opposite_walls(point, faces).tolist():
         rings = [faces[wall].rings for wall in pair]
