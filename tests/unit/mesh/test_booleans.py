@@ -17,9 +17,10 @@ def test_a_union_starts_no_threads() -> None:
     code = f"""
 import os
 from pathlib import Path
-from p2wss.mesh.booleans import manifold3d
+import p2wss.mesh  # with it numpy, which has threads
 processors = os.sched_getaffinity(0)
 before = len(list(Path("{_THREADS}").iterdir()))
+from p2wss.mesh.booleans import manifold3d
 ball = manifold3d.Manifold.sphere(1.0, 100)
 assert (ball - ball.translate((0.3, 0.2, 0.1))).num_tri() > 1000
 assert len(list(Path("{_THREADS}").iterdir())) == before
