@@ -41,7 +41,8 @@ from p2wss.data.tiling import tiles_of_points
 from p2wss.mesh.repair import SCALE_M as CITYJSON_SCALE_M
 
 NUM_COPIES, NUM_SMALL = 106, 4
-SPACING_M = 300
+# a multiple of the squares of 8 m whose lowest points are the ground where none is seen
+SPACING_M = 320
 SCALE_M = 2.0**-10
 MAX_MB, MAX_RATIO = 2000.0, 1.2
 # getrusage is of no use for memory: its figure begins with that of the parent
