@@ -189,6 +189,7 @@ class PlanePrices(NamedTuple):
     # along pieces of many lines, a border would be jagged; swept
     line_m3: float = 0.15
     short_line_m: float = 2.0
+    whole_line_m: float = 0.3
     # shares of it: where two planes meet, where they are nearly the same plane, and a small step
     meet_share: float = 0.5
     shallow_share: float = 1.5

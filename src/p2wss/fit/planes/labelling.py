@@ -220,7 +220,8 @@ def _with_fewer_faces(
 @both
 def _total_m3(graph: _Graph, prices: PlanePrices, label: np.ndarray) -> float:
     """What planes over the cells cost."""
-    num_faces, num_lines = _faces(graph, label).max() + 1, np.count_nonzero(_steps_m(graph, label))
+    num_faces = _faces(graph, label).max() + 1
+    num_lines = np.minimum(_steps_m(graph, label) / prices.whole_line_m, 1.0).sum()
     total_m3 = _sum(graph.cell_m3, graph.pair, graph.side_m3, label)
     return total_m3 + prices.face_m3 * num_faces + prices.line_m3 * num_lines
 
