@@ -61,6 +61,7 @@ class Rules:
     beyond_share: float = 0.5
     turn: float = 0.15
     crossing_share: float = 0.75
+    most_share: float = 0.5
 
 
 RULES = Rules()
@@ -161,6 +162,10 @@ def _theirs(
     goes_on = has_plane & (num_beyond > RULES.beyond_share * num_near)[label]
     # without points beyond, nothing shows that the building ends here
     as_high = (most_m > -RULES.step_m) | np.isinf(most_m) | goes_on[is_near]
+    # a plane is one roof's: at a corner, a third building may be lower
+    of_plane = label[is_near]
+    num_high = np.bincount(of_plane, as_high, minlength=len(plane))
+    as_high |= has_plane[is_near] & (num_high > RULES.most_share * num_near)[of_plane]
     as_low = (np.abs(next_m) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
     result[is_near] &= np.where(rise_m > 0, as_high, as_low) & (np.abs(rise_m) > RULES.step_m)
     return result
