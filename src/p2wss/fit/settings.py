@@ -185,11 +185,12 @@ class PlanePrices(NamedTuple):
     # thinned clouds
     sparse_edge_m: float = 0.05
     dense_gap_m: float = 0.5
-    # for each line that has steps; those with less than the next figure of them are dispensed with where that pays:
-    # along pieces of many lines, a border would be jagged; swept
+    # for each line that has steps, a share of it if that is less of them than the next figure, in metres: else, a tiny
+    # face would save the price of a line. Lines with less than the last figure of steps are dispensed with where that
+    # pays: along pieces of many lines, a border would be jagged; swept
     line_m3: float = 0.15
-    short_line_m: float = 2.0
     whole_line_m: float = 0.3
+    short_line_m: float = 2.0
     # shares of it: where two planes meet, where they are nearly the same plane, and a small step
     meet_share: float = 0.5
     shallow_share: float = 1.5

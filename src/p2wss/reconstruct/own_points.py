@@ -47,6 +47,7 @@ class Rules:
     of a plane's points further within is a larger share of that in the strip, the plane is the building's. turn:
     difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border where it
     has more points there than this share of those in the strip; crossing_share: of one that crosses another.
+    most_share: where more of a plane's points in the strip than this share are the neighbour's, all of them are.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)

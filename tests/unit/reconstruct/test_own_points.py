@@ -177,6 +177,14 @@ def test_a_roof_of_which_nothing_is_seen_beyond_the_border_is_the_neighbours() -
     assert not theirs(np.vstack([point_m, ground_m])).any()
 
 
+def test_a_roof_of_which_nothing_is_seen_beyond_the_border_ends_where_a_third_building_begins() -> None:
+    point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 15.0})
+    third = (point_m[:, 0] > 8) & (point_m[:, 1] < 1.0)
+    point_m[third, 2] = 9.0
+    point_m = point_m[(point_m[:, 0] < 8) | third]
+    assert (theirs(point_m) == ((point_m[:, 0] > 7.5) & (point_m[:, 0] < 8))).all()
+
+
 def test_the_neighbours_roof_beside_one_that_the_classifier_has_missed() -> None:
     """Whether that has no class or class ground."""
     point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 15.0})

@@ -252,6 +252,22 @@ def test_a_border_along_pieces_of_several_lines_gives_way_to_a_straight_one() ->
     assert least_cost(apart).tolist() == [0, 0, 1, 0, 0, 1, 0, 1]
 
 
+def test_a_tiny_face_does_not_save_the_price_of_a_line() -> None:
+    """Between a low and a high roof, a corner of 5 cm has a step on a line of its own, with either of them; a third
+    roof, level with the low one there, would have none."""
+    prices = PLANES.prices._replace(face_m3=0.06, edge_m2=0.1, line_m3=0.15)
+    cell_m3 = np.array([[0, 9, 9], [9, 0, 9], [0.002, 0.002, 0.0]])
+    pair, length_m = np.array([[0, 1], [0, 2], [2, 1]]), np.array([3.0, 0.05, 0.05])
+    differs = (1 - np.eye(3))[None].repeat(3, axis=0) > 0
+    is_step = differs.copy()
+    is_step[1:, 2] = is_step[1:, :, 2] = False
+    side_m3 = prices.edge_m2 * length_m[:, None, None] * np.where(is_step, 1.0, 0.5) * differs
+    costs = Costs(cell_m3, pair, side_m3, is_step, np.arange(3), length_m, prices)
+    assert least_cost(costs).tolist() in ([0, 1, 0], [0, 1, 1])
+    whole = replace(costs, prices=prices._replace(whole_line_m=1e-3))
+    assert least_cost(whole).tolist() == [0, 1, 2]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_two_planes_are_divided_at_least_cost(seed: int) -> None:
     """One minimum cut, against all ways to divide ten cells with twenty sides."""
