@@ -1,10 +1,11 @@
 """Speed of loading, of both training stages and of inference.
 
-    python benchmarks/training.py [--config config/models/cpu.yaml] [--num 4000] [--steps 3] [--batch N]
+    python benchmarks/training.py [--config config/models/cpu.yaml ..] [--num 4000] [--steps 3] [--batch N]
+    python benchmarks/training.py --config config/paper.yaml --device cuda --steps 20
 
-All speeds are CPU time of one thread, on random clouds and footprints. The fastest step counts for the dvae, the mean
-for the model, whose batches differ. ``--batch`` sets the batch size of both, in float32, for large networks on few
-cores, and skips inference.
+All speeds are CPU time of one thread, or on a GPU the time that passes, on random clouds and footprints. The fastest
+step counts for the dvae, the mean for the model, whose batches differ. ``--batch`` sets the batch size of both, in
+float32, for large networks on few cores; with it and on a GPU there is no inference.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import torch
 from figures import Figures, cpu_seconds, peak_mib
 
 from p2wss.config import Config, load
+from p2wss.nets import compute
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
@@ -49,21 +51,31 @@ def town(num: int, seed: int = 0) -> BuildingDataset:
         vertex_offset=np.concatenate([[0], np.cumsum(vertices)]),
         angle_deg=rng.choice([0, 30, 90], vertices.sum()).astype(np.float32),
         height_m=rng.uniform(3, 12, num).astype(np.float32),
+        num_on_building=count // 2,
         num_excluded={},
     )
 
 
+def clock_s(device: torch.device) -> float:
+    """CPU seconds of this process, or on a GPU the seconds on the clock when its work is done."""
+    if device.type == "cpu":
+        return time.process_time()
+    torch.cuda.synchronize()
+    return time.perf_counter()
+
+
 def seconds_of_steps(task: DvaeTask | ModelTask, steps: int) -> np.ndarray:
-    """CPU seconds (steps,) of steps of training without the averaging of weights."""
+    """Seconds (steps,) of :func:`clock_s` of steps of training."""
+    device = next(task.module.parameters()).device
     optimiser = torch.optim.AdamW(task.module.parameters(), foreach=True)
     took = np.empty(1 + steps)
     for number in range(1 + steps):
-        start = time.process_time()
+        start = clock_s(device)
         task.module.train()
         task.step(number)["loss"].backward()
         optimiser.step()
         optimiser.zero_grad(set_to_none=True)
-        took[number] = time.process_time() - start
+        took[number] = clock_s(device) - start
     return took[1:]
 
 
@@ -93,8 +105,8 @@ def inference(config: Config, num: int) -> dict[str, float]:
     return {"per_s": num / took, "peak_mib": peak_mib()}
 
 
-def in_fresh_process(config: str, num: int) -> dict[str, float]:
-    command = [sys.executable, __file__, "--config", config, "--inference", str(num)]
+def in_fresh_process(configs: list[str], num: int) -> dict[str, float]:
+    command = [sys.executable, __file__, "--config", *configs, "--inference", str(num)]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     measured: dict[str, float] = json.loads(output.splitlines()[-1])
     return measured
@@ -102,35 +114,40 @@ def in_fresh_process(config: str, num: int) -> dict[str, float]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--config", default="config/models/cpu.yaml")
+    parser.add_argument("--config", nargs="+", default=["config/models/cpu.yaml"])
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--num", type=int, default=4000, help="buildings")
     parser.add_argument("--steps", type=int, default=3, help="measured steps of each kind")
     parser.add_argument("--batch", type=int, help="size of the batches of both stages; no inference")
     parser.add_argument("--inference", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    config = load(options.config)
+    device = compute.device_of(options.device)
+    config = load(*options.config)
     if options.batch:
         change = {"optimiser": {"batch_size": options.batch}, "compute": {"precision": "float32"}}
-        config = load(options.config, {"dvae": change, "model": change})
+        config = load(*options.config, {"dvae": change, "model": change})
     if options.inference:
         print(json.dumps(inference(config, options.inference)))
         return 0
     buildings = town(options.num)
     figures = Figures()
     torch.manual_seed(0)
-    vae = DiscreteVae(config.dvae)
+    vae = DiscreteVae(config.dvae).to(device)
     took = seconds_of_steps(DvaeTask(vae, buildings, buildings), options.steps)
-    figures.row("dvae", {"steps per CPU second": 1 / took.min()})
+    figures.row("dvae", {"steps per second": 1 / took.min()})
     print(f"dvae   {1 / took.min():.3f} steps/s of {config.dvae.optimiser.batch_size} clouds")
     vae.eval().requires_grad_(False)
-    network = Point2Wss(config.model, config.dvae)
+    network = Point2Wss(config.model, config.dvae).to(device)
     took = seconds_of_steps(ModelTask(network, vae, buildings, buildings), options.steps)
-    figures.row("model", {"steps per CPU second": 1 / took.mean()})
+    figures.row("model", {"steps per second": 1 / took.mean()})
     print(f"model  {1 / took.mean():.3f} steps/s of {config.model.optimiser.batch_size} buildings")
+    if device.type == "cuda":
+        figures.row("GPU", {"most memory, GiB": torch.cuda.max_memory_allocated() / 2**30})
+        print(f"{torch.cuda.get_device_name()}: at most {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB")
     batch_s = loading(buildings, config)
     figures.at_most("loader's share of a training step", batch_s / took.mean(), 0.05)
-    if options.batch:
+    if options.batch or device.type == "cuda":
         return figures.end()
 
     # each in a fresh process, or the peak would be that of training
