@@ -99,6 +99,6 @@ def test_a_config_that_does_not_belong_to_the_weights_takes_no_memory(tmp_path: 
 
 def test_the_shipped_weights_are_those_of_their_configs() -> None:
     module = load_model(SHIPPED)
-    parts = ("training", "continued", "numbers", "parts")
+    parts = ("training", "continued", "numbers", "parts", "gpu")
     config = load(*(ROOT / f"config/shipped-{part}.yaml" for part in parts))
     assert (module.config, module.dvae_config) == (config.model, config.dvae)
