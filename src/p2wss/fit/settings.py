@@ -149,7 +149,7 @@ class Drawing(NamedTuple):
     # points tell no two lines apart that are nearer; swept on thinned clouds
     num_gaps: float = 3.0
     off_gaps: float = 0.75
-    snap_gaps: float = 0.25
+    snap_gaps: float = 0.35
     # whether lines on which planes meet are on others near to them, too, as where points are sparse
     snaps_meets: bool = False
     # degrees: directions that differ less are the same
@@ -182,8 +182,8 @@ class PlanePrices(NamedTuple):
     # for each metre of an edge: a step above the limit below; swept
     edge_m2: float = 0.15
     # for each metre of an edge and each metre by which the distance between points exceeds the second figure; swept on
-    # thinned clouds
-    sparse_edge_m: float = 0.05
+    # thinned clouds: fewer false edges and triangles for some millimetres, most of what few points show is not there
+    sparse_edge_m: float = 0.25
     dense_gap_m: float = 0.5
     # for each line that has steps, a share of it if that is less of them than the next figure, in metres: else, a tiny
     # face would save the price of a line. Lines with less than the last figure of steps are dispensed with where that
