@@ -1,7 +1,7 @@
 """Speed of loading, of both training stages and of inference.
 
     python benchmarks/training.py [--config config/models/cpu.yaml ..] [--num 4000] [--steps 3] [--batch N]
-    python benchmarks/training.py --config config/paper.yaml --device cuda --steps 20
+    python benchmarks/training.py --config config/models/gpu.yaml --device cuda --steps 20
 
 All speeds are CPU time of one thread, or on a GPU the time that passes, on random clouds and footprints. The fastest
 step counts for the dvae, the mean for the model, whose batches differ. ``--batch`` sets the batch size of both, in
@@ -143,8 +143,9 @@ def main() -> int:
     figures.row("model", {"steps per second": 1 / took.mean()})
     print(f"model  {1 / took.mean():.3f} steps/s of {config.model.optimiser.batch_size} buildings")
     if device.type == "cuda":
-        figures.row("GPU", {"most memory, GiB": torch.cuda.max_memory_allocated() / 2**30})
-        print(f"{torch.cuda.get_device_name()}: at most {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB")
+        memory_gib = torch.cuda.max_memory_allocated() / 2**30
+        figures.row("GPU", {"most memory, GiB": memory_gib})
+        print(f"{torch.cuda.get_device_name()}: at most {memory_gib:.1f} GiB")
     batch_s = loading(buildings, config)
     figures.at_most("loader's share of a training step", batch_s / took.mean(), 0.05)
     if options.batch or device.type == "cuda":

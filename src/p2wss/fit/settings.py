@@ -182,7 +182,7 @@ class PlanePrices(NamedTuple):
     # for each metre of an edge: a step above the limit below; swept
     edge_m2: float = 0.15
     # for each metre of an edge and each metre by which the distance between points exceeds the second figure; swept on
-    # thinned clouds: fewer false edges and triangles for some millimetres, most of what few points show is not there
+    # thinned clouds, where it leaves out false edges and costs distance: millimetres, but centimetres with ten points
     sparse_edge_m: float = 0.25
     dense_gap_m: float = 0.5
     # for each line that has steps, a share of it if that is less of them than the next figure, in metres: else, a tiny

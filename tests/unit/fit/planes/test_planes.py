@@ -406,13 +406,13 @@ def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
     xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
     rings = [np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 12.0], [0.0, 12.0]])]
     num_planes = []
-    for up_m in (0.3, 2.0):
+    for up_m in (0.3, 1.5, 2.0):
         z_m = np.full(len(xy_m), 4.0)
         z_m[:2] += up_m
         fit = fit_planes(rings, np.column_stack([xy_m, z_m]), PLANES)
         assert fit is not None
         num_planes.append(len(np.unique(fit.label)))
-    assert num_planes == [1, 2]
+    assert num_planes == [1, 1, 2]
 
 
 @pytest.mark.parametrize(("per_m2", "is_dense"), [(12.0, True), (4.0, True), (1.0, False), (0.1, False)])
