@@ -297,7 +297,16 @@ WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}
 
 NAMES = ("point2wss", "point2wss+fit", "masked", "fit", "lod1", "constant", "roofer")
 SETTINGS = json.dumps(
-    {"eval": {"roofer_command": "", "roofer_recorded": "", "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
+    {
+        "eval": {
+            "roofer_command": "",
+            "roofer_recorded": "",
+            "num_samples": 200,
+            "num_resamples": 50,
+            "num_worst": 3,
+            "lidar_name": "stand-in <LiDAR>",
+        }
+    }
 )
 
 
