@@ -148,29 +148,21 @@ class Drawing(NamedTuple):
     # multiples of the distance between points: at least so long are the first two above, the third and the fourth, as
     # points tell no two lines apart that are nearer; swept on thinned clouds
     num_gaps: float = 3.0
-    off_gaps: float = 0.75
-    snap_gaps: float = 0.35
-    # whether lines on which planes meet are on others near to them, too, as where points are sparse
-    snaps_meets: bool = False
+    off_gaps: float = 1.0
+    snap_gaps: float = 0.5
     # degrees: directions that differ less are the same
     same_deg: float = 4.0
     # a step leaves less than this share of the points of the border on the wrong side
     wrong_share: float = 0.35
-    # the rectangle around a plane has no strip along a side where points off the plane are more than its own, by this
-    # share of all its own; 0, 0.05 and 0.1 were tried on half A of Delft, b0, b4 and drawn towns
-    few_share: float = 0.05
-    # directions of the footprint in which steps are sought, the longest first
-    num_directions: int = 4
 
-    def for_density(self, per_m2: float, sparse_per_m2: float) -> Drawing:
-        """The settings where points show the borders of planes from further away. sparse_per_m2: of the detection."""
+    def for_density(self, per_m2: float) -> Drawing:
+        """The settings where points show the borders of planes from further away."""
         gap_m = per_m2**-0.5
         return self._replace(
             near_m=max(self.near_m, self.num_gaps * gap_m),
             reach_m=max(self.reach_m, self.num_gaps * gap_m),
             off_m=max(self.off_m, self.off_gaps * gap_m),
             snap_m=max(self.snap_m, self.snap_gaps * gap_m),
-            snaps_meets=per_m2 < sparse_per_m2,
         )
 
 
@@ -178,12 +170,12 @@ class PlanePrices(NamedTuple):
     """What a roof of planes pays (`planes/labelling.py`), in cubic metres between the roof and its points."""
 
     # for each face; swept
-    face_m3: float = 0.06
+    face_m3: float = 0.08
     # for each metre of an edge: a step above the limit below; swept
     edge_m2: float = 0.15
     # for each metre of an edge and each metre by which the distance between points exceeds the second figure; swept on
     # thinned clouds, where it leaves out false edges and costs distance: millimetres, but centimetres with ten points
-    sparse_edge_m: float = 0.25
+    sparse_edge_m: float = 0.3
     dense_gap_m: float = 0.5
     # for each line that has steps, a share of it if that is less of them than the next figure, in metres: else, a tiny
     # face would save the price of a line. Lines with less than the last figure of steps are dispensed with where that
@@ -200,30 +192,15 @@ class PlanePrices(NamedTuple):
     small_step_m: float = 0.4
     # tangent of the angle below which two planes are nearly the same
     shallow: float = 0.09
-    # metres: larger residuals count as this, or as so many distances between points; swept on thinned clouds
+    # metres: larger residuals count as this
     cap_m: float = 1.0
-    cap_gaps: float = 2.0
-    # points per square metre: with fewer, a roof is compared with the nearest points also where it has none
-    few_per_m2: float = 0.6
-    # metres between the roof and one point: a face and a line with steps also cost these, times the area for which a
-    # point stands, so that no single one of few points makes a face; swept on thinned clouds
-    face_m: float = 0.3
-    line_m: float = 0.1
     # metres by which a roof may rise above its points, or fall below all of them
     support_m: float = 0.5
-    # metres a roof is expected to be off per metre beyond its points, after the first metre, and at most
-    beyond_share: float = 0.02
-    max_beyond_m: float = 0.1
 
     def for_density(self, per_m2: float) -> PlanePrices:
         """The prices where so many points are on a square metre."""
         gap_m = per_m2**-0.5
-        return self._replace(
-            edge_m2=self.edge_m2 + self.sparse_edge_m * max(gap_m - self.dense_gap_m, 0.0),
-            face_m3=self.face_m3 + self.face_m / per_m2,
-            line_m3=self.line_m3 + self.line_m / per_m2,
-            cap_m=max(self.cap_m, self.cap_gaps * gap_m),
-        )
+        return self._replace(edge_m2=self.edge_m2 + self.sparse_edge_m * max(gap_m - self.dense_gap_m, 0.0))
 
 
 class Planes(NamedTuple):
@@ -236,7 +213,7 @@ class Planes(NamedTuple):
     def times(self, factor: float) -> Planes:
         """The thresholds with all prices multiplied."""
         prices = self.prices
-        names = ("face_m3", "edge_m2", "sparse_edge_m", "line_m3", "face_m", "line_m")
+        names = ("face_m3", "edge_m2", "sparse_edge_m", "line_m3")
         return self._replace(
             prices=prices._replace(**{name: factor * getattr(prices, name) for name in names})
         )

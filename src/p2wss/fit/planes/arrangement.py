@@ -44,16 +44,6 @@ class Arrangement:
             np.maximum.at(high_z, cell, height_m.max(axis=1))
         return low_z, high_z
 
-    def places(self, step_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(places (p, 2) so far apart, at least one in each cell; their cells, int (p,); how many there are per square
-        metre of the cell (p,))."""
-        low, high = self.xy_m.min(axis=0), self.xy_m.max(axis=0)
-        x, y = np.meshgrid(*(np.arange(*ends, step_m) for ends in zip(low, high, strict=True)))
-        xy_m = np.vstack([np.column_stack([x.ravel(), y.ravel()]), self.middle_m])
-        cell = self.cells_at(xy_m)
-        xy_m, cell = xy_m[cell >= 0], cell[cell >= 0]
-        return xy_m, cell, (np.bincount(cell) / self.area_m2)[cell]
-
     def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
         """int (m,), the cell at each place (m, 2), -1 outside."""
         place, cell = self.tree.query(shapely.points(xy_m), predicate="intersects")

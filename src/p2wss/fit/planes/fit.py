@@ -23,7 +23,7 @@ from p2wss.skeleton.nearest import nearest
 
 # cubic metres: the price, beyond all others, of each side that ends in an upright edge of four walls
 _PINCH_M3 = 1e6
-# directions of a footprint along which few points show planes
+# directions of a footprint along which steps are sought, and few points show planes
 _NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
 _INSIDE_M, _LEVEL = 0.1, 0.02
@@ -96,24 +96,22 @@ def fit_planes(
         return None
     plane = regular(found, point_m, along, settings.detection)
     corner_m = np.concatenate(rings)
-    drawing = settings.drawing.for_density(density, settings.detection.sparse_per_m2)
+    drawing = settings.drawing.for_density(density)
     top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
     slope = plane[found.label[top], :2]
-    is_sparse = density < settings.prices.few_per_m2
-    is_hidden = (corner_m @ slope).max() > (point_m[:, :2] @ slope).max() + drawing.reach_m * np.hypot(*slope)
-    if (slope.any() if is_sparse else is_hidden) and (found.label == found.label[top]).sum() > 1:
-        # no slope need rise further than the highest point, where few points may hide a ridge or the border of a level
-        # roof; where nothing is seen behind it, the other side of a ridge may be as steep
-        turned = (0.0 if is_sparse else -1.0) * slope
-        highest = np.append(turned, point_m[top, 2] - turned @ point_m[top, :2])
-        found.label[top], plane = len(plane), np.vstack([plane, highest])
+    reach_m = settings.drawing.reach_m * np.hypot(*slope)
+    is_hidden = (corner_m @ slope).max() > (point_m[:, :2] @ slope).max() + reach_m
+    if is_hidden and (found.label == found.label[top]).sum() > 1:
+        # where nothing is seen behind the highest point, the other side of a ridge may be as steep
+        behind = np.append(-slope, point_m[top, 2] + slope @ point_m[top, :2])
+        found.label[top], plane = len(plane), np.vstack([plane, behind])
     # what is hidden is at a corner, as shadows come from beyond the footprint
     hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
-    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
+    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along[:_NUM_DIRECTIONS], drawing))
     cell = cells.cells_at(point_m[:, :2])
     prices = settings.prices.for_density(density)
-    costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
+    costs = costs_of(cells, plane, point_m, cell, density, prices)
     built = label = _without_pinches(cells, costs, least_cost(costs), plane)
     if num_open:
         built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)

@@ -18,14 +18,11 @@ from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped, groups
-from p2wss.skeleton.nearest import nearest
 
 _MAX_ROUNDS = 4
 # metres above the ground: no roof is lower, at a price beyond all others
 _LOWEST_M, _FORBIDDEN_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
-# places across the distance between few points, at which roofs are compared with the nearest of these
-_PLACES_PER_GAP = 3
 # steps to a cell that no path reaches
 _NOT_REACHED = -1
 
@@ -71,35 +68,23 @@ class Costs:
 def costs_of(
     cells: Arrangement,
     plane: np.ndarray,
-    label: np.ndarray,
     point_m: np.ndarray,
     of_cell: np.ndarray,
     density: float,
     prices: PlanePrices,
 ) -> Costs:
-    """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). of_cell: (m,),
-    its cell, -1 for none. density: points per square metre, each of which stands for an area; where they are few, that
-    to which it is the nearest."""
+    """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
+    density: points per square metre, each of which stands for an area."""
     num_planes = len(plane)
-    off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
-    row, per_m2 = np.flatnonzero(of_cell >= 0), np.full(1, density)
-    of_row = of_cell[row]
-    if density < prices.few_per_m2:
-        # many cells have no point: each place pays for the point nearest to it
-        place_m, of_row, per_m2 = cells.places(density**-0.5 / _PLACES_PER_GAP)
-        # of points around, those on planes that the building's own show, too; all if it has none within moved walls
-        row = np.flatnonzero(np.isin(label, label[row] if len(row) else label))
-        row = row[nearest(point_m[row, :2], place_m)[1][:, 0]]
-    place = np.add.outer(of_row * num_planes, np.arange(num_planes)).ravel()
-    num_places = len(cells.area_m2) * num_planes
-    off_m3 = np.bincount(place, (off_m[row] / per_m2[:, None]).ravel(), num_places)
+    is_own = of_cell >= 0
+    off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])[is_own], prices.cap_m)
+    place = np.add.outer(of_cell[is_own] * num_planes, np.arange(num_planes)).ravel()
+    off_m3 = np.bincount(place, off_m.ravel() / density, len(cells.area_m2) * num_planes)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
-    beyond_m = np.hstack([nearest(point_m[label == n, :2], cells.middle_m)[0] for n in range(num_planes)])
-    expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
     above_m, below_m = high_z - point_m[:, 2].max(), point_m[:, 2].min() - low_z
     unsupported_m = np.clip(np.maximum(above_m, below_m) - prices.support_m, 0.0, prices.cap_m)
-    cell_m3 += cells.area_m2[:, None] * (expected_m + unsupported_m)
+    cell_m3 += cells.area_m2[:, None] * unsupported_m
     cell_m3[low_z < _LOWEST_M] += _FORBIDDEN_M3
     is_shared = (cells.pair >= 0).all(axis=1)
     pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]

@@ -83,7 +83,7 @@ def lines_of(
                 continue
             sides = [side[np.abs(side @ meet.normal - meet.offset_m) > settings.off_m] for side in sides]
         if min(map(len, sides)) >= _MIN_BORDER:
-            tried = list(along[: settings.num_directions])
+            tried = list(along)
             for number in (i, j):
                 if is_sloped[number] and all(
                     abs(turn_between(own[number], each)) > np.radians(settings.same_deg) for each in tried
@@ -94,12 +94,8 @@ def lines_of(
     for number, angle in enumerate(np.where(is_sloped, own, along[0]).tolist()):
         is_own = label == number
         steps += _extent(point_m[is_own, :2], point_m[is_off[:, number] & ~is_own, :2], angle, settings)
-    fixed, loose = ([], [*meets, *steps]) if settings.snaps_meets else (meets, steps)
-    return (
-        fixed
-        + _snapped(loose, [edge for edge, _ in edges], settings)
-        + [edge for edge, is_reflex in edges if is_reflex]
-    )
+    snapped = _snapped(steps, [edge for edge, _ in edges], settings)
+    return meets + snapped + [edge for edge, is_reflex in edges if is_reflex]
 
 
 def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
@@ -176,14 +172,14 @@ def _extent(xy_m: np.ndarray, other_m: np.ndarray, angle: float, settings: Drawi
     order = np.argsort(both, axis=0, kind="stable")
     # how many more of the plane than others are up to each of all places
     num_more = np.cumsum(np.where(order < len(place), 1, -1), axis=0)
-    few, result = settings.few_share * len(place), []
+    result = []
     for axis, span in enumerate([(left, right), (-end, -start)]):
         along, num = both[order[:, axis], axis], num_more[:, axis]
         first, last = int(num.argmin()), int(num.argmax())
         from_m, to_m = low[axis] - margin_m[axis], high[axis] + margin_m[axis]
-        if num[first] < -few:
+        if num[first] < 0:
             from_m = along[first : first + 2].mean()
-        if num[last] > num[-1] + few:
+        if num[last] > num[-1]:
             to_m = along[last : last + 2].mean()
         result += [Line(normal[axis], float(offset_m), *span) for offset_m in (from_m, to_m)]
     return result

@@ -28,7 +28,7 @@ SLOPE = np.tan(np.radians(40))
 
 
 def drawing_for(per_m2: float) -> Drawing:
-    return PLANES.drawing.for_density(per_m2, PLANES.detection.sparse_per_m2)
+    return PLANES.drawing.for_density(per_m2)
 
 
 def sampled(rings: list[np.ndarray], plane: np.ndarray, seed: int, density: float = 12.0) -> np.ndarray:
@@ -401,18 +401,18 @@ def test_a_ridge_goes_on_in_the_shadow_of_a_higher_house() -> None:
     assert fit is not None and residuals_m(fit, point_m).mean() < 0.06
 
 
-def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
+def test_two_of_few_points_make_no_face_and_five_do() -> None:
     """Each stands for six square metres."""
     xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
     rings = [np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 12.0], [0.0, 12.0]])]
     num_planes = []
-    for up_m in (0.3, 1.5, 2.0):
+    for num_high in (2, 5):
         z_m = np.full(len(xy_m), 4.0)
-        z_m[:2] += up_m
+        z_m[:num_high] += 2.0
         fit = fit_planes(rings, np.column_stack([xy_m, z_m]), PLANES)
         assert fit is not None
         num_planes.append(len(np.unique(fit.label)))
-    assert num_planes == [1, 1, 2]
+    assert num_planes == [1, 2]
 
 
 @pytest.mark.parametrize(("per_m2", "is_dense"), [(12.0, True), (4.0, True), (1.0, False), (0.1, False)])
@@ -470,23 +470,6 @@ def test_lines_that_few_points_cannot_tell_apart_are_one() -> None:
     assert num_lines[1] < num_lines[0]
 
 
-def test_ridges_that_few_points_do_not_tell_apart_are_on_one_line() -> None:
-    """The other side of a ridge at x = 0 is 40 cm higher where y < 0, so that it meets the first at x = 0.2."""
-    rings = [np.array([[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]])]
-    xy_m = np.array([[x, y] for x in np.arange(-8.9, 10, 3) for y in np.arange(-9.0, 10, 3)])
-    label = np.where(xy_m[:, 0] < 0.1, 0, np.where(xy_m[:, 1] < 0, 2, 1))
-    plane = np.array([[1.0, 0.0, 14.0], [-1.0, 0.0, 14.0], [-1.0, 0.0, 14.4]])
-    point_m = np.column_stack([xy_m, height_over(plane, label, xy_m)])
-    drawing = drawing_for(len(xy_m) / 400)
-    assert drawing.snaps_meets and not drawing_for(4.0).snaps_meets
-    ridges_m = [
-        {round(line.offset_m, 6) for line in lines_of(rings, plane, label, point_m, [0.0], each)}
-        for each in (drawing._replace(snaps_meets=False), drawing)
-    ]
-    are_apart = [{0.0, 0.2} <= set(map(abs, each)) for each in ridges_m]
-    assert are_apart == [True, False]
-
-
 def test_the_highest_of_many_points_may_be_of_no_plane() -> None:
     rings, plane = gable(40, 30, 4, 0.0)
     point_m = np.vstack([sampled(rings, plane, 1, 0.3), [-9.0, 5.0, 30.0], [5.0, 5.0, 40.0]])
@@ -495,7 +478,7 @@ def test_the_highest_of_many_points_may_be_of_no_plane() -> None:
     assert fit is not None and (heights(fit.plane, point_m[-1:, :2]) < 30).all()
 
 
-def test_two_points_show_no_slope_and_the_highest_of_a_slope_a_level_roof() -> None:
+def test_two_points_show_no_slope_and_three_do() -> None:
     rings, _ = gable(20, 8, 4, 0.0)
     along = directions(rings, 4.0)
     rising_m = np.array([[-8.0, 0.0, 3.0], [-4.0, 0.0, 5.0], [0.0, 0.0, 7.0]])
@@ -504,36 +487,13 @@ def test_two_points_show_no_slope_and_the_highest_of_a_slope_a_level_roof() -> N
         assert np.count_nonzero(np.hypot(*found.plane[:, :2].T) > 0.1) == num_sloped
         height_m = height_over(found.plane, found.label, rising_m[:num_points, :2])
         assert height_m == pytest.approx(rising_m[:num_points, 2])
+
+
+def test_a_roof_rises_no_further_than_few_points_show() -> None:
+    rings, _ = gable(20, 8, 4, 0.0)
+    rising_m = np.array([[x, y, 7 + x / 2] for x in (-8.0, -4.0, 0.0) for y in (-3.0, 0.0, 3.0)])
     fit = fit_planes(rings, rising_m, PLANES)
     assert fit is not None and fit.mesh.vertex_m[:, 2].max() == pytest.approx(7.0, abs=0.5)
-
-
-@pytest.mark.parametrize(("density", "off_m"), [(0.04, 1.0), (1.0, 0.0)])
-def test_a_cell_without_any_of_few_points_costs_what_the_nearest_show(density: float, off_m: float) -> None:
-    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
-    cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0)])
-    point_m = np.array([[1.0, 1.0, 4.0], [4.5, 2.0, 3.0], [4.5, 5.0, 3.0], [4.5, 8.0, 3.0]])
-    plane = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 4.0]])
-    prices = PLANES.prices._replace(beyond_share=0.0, support_m=9.0)
-    cell = cells.cells_at(point_m[:, :2])
-    costs = costs_of(cells, plane, np.array([1, 0, 0, 0]), point_m, cell, density, prices)
-    assert costs.cell_m3[1 - cell[0]] == pytest.approx([0.0, 50 * off_m])
-
-
-@pytest.mark.parametrize("is_common", [False, True])
-def test_of_points_around_those_count_whose_plane_the_building_shows_too(is_common: bool) -> None:
-    """A row of houses goes on over the border; another house beside this one does not."""
-    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
-    cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0)])
-    own_m, around_m = np.array([[1.0, 2.0, 3.0], [1.0, 8.0, 3.0 + is_common]]), np.array([[10.5, 5.0, 4.0]])
-    point_m, label = np.vstack([own_m, around_m]), np.array([0, int(is_common), 1])
-    prices = PLANES.prices._replace(beyond_share=0.0, support_m=9.0)
-    of_cell = cells.cells_at(point_m[:, :2])
-    costs = costs_of(
-        cells, np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 4.0]]), label, point_m, of_cell, 0.02, prices
-    )
-    of_near, of_far = costs.cell_m3[1 - of_cell[0]]
-    assert (of_near < of_far) is not is_common
 
 
 def test_few_points_that_are_all_outside_of_moved_walls_still_show_a_roof() -> None:
@@ -550,33 +510,26 @@ def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -
     cells, plane = arrange([square], []), np.array([[1.0, 0.0, 3.0]])
     around_m = np.column_stack([np.linspace(-3, 3, 25), np.full(25, -1.0), np.linspace(0, 6, 25)])
     point_m = np.vstack([[1.0, 5.0, 4.0], around_m])
-    of_cell, label = np.append(0, np.full(25, -1)), np.zeros(26, int)
-    prices = PLANES.prices._replace(beyond_share=0.0, cap_m=99.0)
-    costs = costs_of(cells, plane, label, point_m, of_cell, 0.01, prices)
+    prices = PLANES.prices._replace(cap_m=99.0)
+    costs = costs_of(cells, plane, point_m, np.append(0, np.full(25, -1)), 0.01, prices)
     # 13 m high at the far side; the highest point is at 6 m
     expected_m = 13.0 - 6.0 - prices.support_m
     assert costs.cell_m3[0, 0] == pytest.approx(100 * expected_m)
 
 
-def test_places_are_shared_out_among_the_cells_by_their_areas() -> None:
-    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
-    cells = arrange([square], [Line(np.array([1.0, 0.0]), 9.9)])
-    xy_m, cell, per_m2 = cells.places(1.5)
-    assert (cells.cells_at(xy_m) == cell).all() and len(np.unique(cell)) == 2
-    assert np.bincount(cell, 1 / per_m2) == pytest.approx(cells.area_m2)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_roofs_of_a_row_show_that_of_a_house_with_few_points(seed: int) -> None:
+def test_the_roofs_of_a_row_show_that_of_a_house_with_few_points() -> None:
     rings, plane = gable(6, 9, 4, 0.3)
-    row_m = sampled(gable(30, 9, 4, 0.3)[0], plane, seed)
-    within = shapely.contains_xy(shapely.Polygon(rings[0]), row_m[:, 0], row_m[:, 1])
-    few_m, around_m = row_m[within][::90], row_m[~within][::90]
-    assert len(few_m) <= 8
-    alone, in_row = fit_planes(rings, few_m, PLANES), fit_planes(rings, few_m, PLANES, around_m=around_m)
-    assert alone is not None and in_row is not None
-    off_m = [residuals_m(fit, row_m[within]) for fit in (alone, in_row)]
-    assert off_m[1].mean() < 0.05 < off_m[0].mean()
+    off_m = []
+    for seed in range(1, 7):
+        row_m = sampled(gable(30, 9, 4, 0.3)[0], plane, seed)
+        within = shapely.contains_xy(shapely.Polygon(rings[0]), row_m[:, 0], row_m[:, 1])
+        few_m, around_m = row_m[within][::90], row_m[~within][::90]
+        assert len(few_m) <= 8
+        alone, in_row = fit_planes(rings, few_m, PLANES), fit_planes(rings, few_m, PLANES, around_m=around_m)
+        assert alone is not None and in_row is not None
+        off_m.append([residuals_m(fit, row_m[within]).mean() for fit in (alone, in_row)])
+    alone_m, in_row_m = np.array(off_m).T
+    assert in_row_m.max() < 0.05 < np.median(alone_m)
 
 
 def test_scattered_points_show_no_plane() -> None:
