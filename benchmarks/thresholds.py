@@ -35,8 +35,6 @@ VARIATIONS: dict[str, tuple[float, ...]] = {
     "face_m3": (0.05, 0.15, 0.3),
     "edge_m2": (0.1, 0.12, 0.2),
     "line_m3": (0.0, 0.08, 0.3),
-    "face_m": (0.0, 0.6),
-    "line_m": (0.0, 0.3),
     "meet_share": (0.25, 1.0),
     "small_step_share": (1.0, 3.0),
     "shallow_share": (1.0, 2.0),
