@@ -76,7 +76,7 @@ def united_volume(solids: list[Solid], terrain: Mesh) -> float:
     turn_deg=st.floats(0, 90),
     tolerance_m=st.floats(0.05, 0.5),
 )
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_with_the_terrain_it_is_one_closed_surface(
     roughness: float, slope: float, seed: int, turn_deg: float, tolerance_m: float
 ) -> None:

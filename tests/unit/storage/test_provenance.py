@@ -260,7 +260,7 @@ def test_a_version_of_a_module_is_parsed_once(
     before = [fingerprint(stage) for stage in stages]
     kept = root / provenance._KEPT
     assert len(texts) > 50 and len(texts) == len(json.loads(kept.read_text()))
-    for content in ("[]", '{"p2wss.eval": ["", ""]}', kept.read_text()):
+    for content in ("", "[]", '{"p2wss.eval": 1}', '{"p2wss.eval": ["", ""]}', kept.read_text()):
         texts.clear()
         kept.write_text(content)
         forget()

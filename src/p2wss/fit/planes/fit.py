@@ -91,24 +91,25 @@ def fit_planes(
         point_m = np.vstack([point_m, around_m])
         is_open = np.append(is_open, np.zeros(len(around_m), bool))
     along = directions(rings, settings.drawing.same_deg)
-    found = detect(point_m, density, along[:_NUM_DIRECTIONS], settings.detection)
+    main = along[:_NUM_DIRECTIONS]
+    found = detect(point_m, density, main, settings.detection)
     if not len(found.plane):
         return None
     plane = regular(found, point_m, along, settings.detection)
     corner_m = np.concatenate(rings)
-    drawing = settings.drawing.for_density(density)
     top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
     slope = plane[found.label[top], :2]
-    reach_m = settings.drawing.reach_m * np.hypot(*slope)
-    is_hidden = (corner_m @ slope).max() > (point_m[:, :2] @ slope).max() + reach_m
+    rise_m = settings.drawing.reach_m * np.hypot(*slope)
+    is_hidden = (corner_m @ slope).max() > (point_m[:, :2] @ slope).max() + rise_m
     if is_hidden and (found.label == found.label[top]).sum() > 1:
         # where nothing is seen behind the highest point, the other side of a ridge may be as steep
         behind = np.append(-slope, point_m[top, 2] + slope @ point_m[top, :2])
         found.label[top], plane = len(plane), np.vstack([plane, behind])
     # what is hidden is at a corner, as shadows come from beyond the footprint
     hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
+    drawing = settings.drawing.for_density(density)
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
-    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along[:_NUM_DIRECTIONS], drawing))
+    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, main, drawing))
     cell = cells.cells_at(point_m[:, :2])
     prices = settings.prices.for_density(density)
     costs = costs_of(cells, plane, point_m, cell, density, prices)

@@ -75,10 +75,9 @@ def costs_of(
 ) -> Costs:
     """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
     density: points per square metre, each of which stands for an area."""
-    num_planes = len(plane)
-    is_own = of_cell >= 0
-    off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])[is_own], prices.cap_m)
-    place = np.add.outer(of_cell[is_own] * num_planes, np.arange(num_planes)).ravel()
+    num_planes, own_m = len(plane), point_m[of_cell >= 0]
+    off_m = np.minimum(np.abs(heights(plane, own_m[:, :2]) - own_m[:, 2:]), prices.cap_m)
+    place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
     off_m3 = np.bincount(place, off_m.ravel() / density, len(cells.area_m2) * num_planes)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)

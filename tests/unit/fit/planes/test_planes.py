@@ -18,17 +18,13 @@ from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import Line, lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import at_pinch, solid_below
-from p2wss.fit.settings import Drawing, Planes
+from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas, is_closed, unit_normals
 from p2wss.skeleton import FaceKind
 
 PLANES = Planes()
 SLOPE = np.tan(np.radians(40))
-
-
-def drawing_for(per_m2: float) -> Drawing:
-    return PLANES.drawing.for_density(per_m2)
 
 
 def sampled(rings: list[np.ndarray], plane: np.ndarray, seed: int, density: float = 12.0) -> np.ndarray:
@@ -417,7 +413,7 @@ def test_two_of_few_points_make_no_face_and_five_do() -> None:
 
 @pytest.mark.parametrize(("per_m2", "is_dense"), [(12.0, True), (4.0, True), (1.0, False), (0.1, False)])
 def test_lines_and_prices_change_only_where_points_are_far_apart(per_m2: float, is_dense: bool) -> None:
-    drawing, prices = drawing_for(per_m2), PLANES.prices.for_density(per_m2)
+    drawing, prices = PLANES.drawing.for_density(per_m2), PLANES.prices.for_density(per_m2)
     assert (drawing == PLANES.drawing) is is_dense
     assert (prices.edge_m2 == PLANES.prices.edge_m2) is is_dense
 
@@ -428,7 +424,7 @@ def test_planes_meet_on_a_line_that_is_far_from_all_of_few_points() -> None:
     point_m = np.column_stack([xy_m, heights(plane, xy_m).min(axis=1)])
     label = (xy_m[:, 1] > 0).astype(int)
     found = {
-        density: lines_of(rings, plane, label, point_m, [0.0], drawing_for(density))
+        density: lines_of(rings, plane, label, point_m, [0.0], PLANES.drawing.for_density(density))
         for density in (4.0, len(xy_m) / 96)
     }
     num_ridges = {
@@ -446,7 +442,9 @@ def test_a_roof_house_has_walls_where_its_points_end() -> None:
     beside = (np.abs(xy_m[:, 0] - 3.0) < 0.5) & (np.abs(xy_m[:, 1]) < 0.3)
     label = (in_house | beside).astype(int)
     plane = np.array([[0.0, 0.0, 4.0], [0.0, 0.0, 6.5]])
-    lines = lines_of(rings, plane, label, np.column_stack([xy_m, plane[label, 2]]), [0.0], drawing_for(6.25))
+    lines = lines_of(
+        rings, plane, label, np.column_stack([xy_m, plane[label, 2]]), [0.0], PLANES.drawing.for_density(6.25)
+    )
     offset_m = np.array([[line.offset_m for line in lines if line.normal[axis] == 1] for axis in (0, 1)])
     for axis, half_m in enumerate((1.6, 1.2)):
         for wall_m in (-half_m, half_m):
@@ -462,7 +460,7 @@ def test_lines_that_few_points_cannot_tell_apart_are_one() -> None:
     plane = np.array([[0.0, 0.0, 4.0], [0.0, 0.0, 8.0], [0.0, 0.0, 6.0]])
     xy_m[:, 0] += np.where(xy_m[:, 1] > 0, 0.0, 0.6)
     point_m = np.column_stack([xy_m, plane[label, 2]])
-    drawing = drawing_for(len(xy_m) / 400)
+    drawing = PLANES.drawing.for_density(len(xy_m) / 400)
     num_lines = [
         len(lines_of(rings, plane, label, point_m, [0.0], each))
         for each in (drawing._replace(snap_m=PLANES.drawing.snap_m), drawing)
@@ -503,6 +501,16 @@ def test_few_points_that_are_all_outside_of_moved_walls_still_show_a_roof() -> N
     for around in (around_m, np.zeros((0, 3))):
         fit = fit_planes([np.array([[0, 0], [10, 0], [10, 8], [0, 8.0]])], own_m, PLANES, 0, around)
         assert fit is not None and fit.mesh.is_closed
+
+
+@pytest.mark.parametrize("per_m2", [12.0, 0.02])
+def test_a_point_far_off_costs_as_much_as_one_metre(per_m2: float) -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    point_m, prices = np.array([[2.0, 5.0, 3.0], [8.0, 5.0, 11.0]]), PLANES.prices.for_density(per_m2)
+    costs = costs_of(
+        arrange([square], []), np.array([[0.0, 0.0, 3.0]]), point_m, np.zeros(2, int), per_m2, prices
+    )
+    assert costs.cell_m3[0, 0] == pytest.approx(1 / per_m2)
 
 
 def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -> None:
