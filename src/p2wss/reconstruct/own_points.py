@@ -41,13 +41,13 @@ class Rules:
     strips_m: points this near to the border may be another building's: the widest of these strips that leaves a core.
     band_m: what the building has at the strip is seen within this distance of the border. core_m: half the width of a
     wing, less the strip; narrower ones have no strip, because their own roof looks like one. step_m: between a surface
-    of the neighbour and the ``num_near`` points of the building nearest to it; the highest of as many beyond the
-    border, or of ``num_beyond`` where a return from a wall is on no plane, may be so much lower. reach_m: points beyond
-    the border show nothing further away. most_per_m2: points of which planes are grown. deep_share: where the density
-    of a plane's points further within is a larger share of that in the strip, the plane is the building's. turn:
-    difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border where it
-    has more points there than this share of those in the strip; crossing_share: of one that crosses another.
-    most_share: where more of a plane's points in the strip than this share are the neighbour's, all of them are.
+    of the neighbour and the ``num_near`` points of the building nearest to it; the highest of the ``num_beyond``
+    nearest beyond the border may be so much lower. reach_m: points beyond the border show nothing further away.
+    most_per_m2: points of which planes are grown. deep_share: where the density of a plane's points further within is a
+    larger share of that in the strip, the plane is the building's. turn: difference of the slopes of planes that cross,
+    as tangent. beyond_share: a plane goes on beyond the border where it has more points there than this share of those
+    in the strip; crossing_share: of one that crosses another. most_share: where more of a plane's points in the strip
+    than this share are the neighbour's, all of them are.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -124,8 +124,6 @@ def _theirs(
     if not is_near.any():
         return result
     surface = np.column_stack([point_m, np.full((len(point_m), 2), np.nan)])
-    if is_deep.any() and (np.abs(_rise_m(surface[is_near], surface[is_deep])) < RULES.step_m).all():
-        return result
     band = np.flatnonzero(own | (is_high & ~inside))
     ring_m2 = polygon.buffer(strip_m).area - inner.area
     chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
@@ -158,8 +156,7 @@ def _theirs(
     beyond_m = point_m[is_solid & ~inside]
     far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_beyond, len(beyond_m)))
     higher_m = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf) - near_z[:, None]
-    next_m = higher_m[:, : RULES.num_near]
-    most_m = np.where(has_plane[is_near], next_m.max(axis=1), higher_m.max(axis=1))
+    most_m = higher_m.max(axis=1)
     goes_on = has_plane & (num_beyond > RULES.beyond_share * num_near)[label]
     # without points beyond, nothing shows that the building ends here
     as_high = (most_m > -RULES.step_m) | np.isinf(most_m) | goes_on[is_near]
@@ -167,7 +164,7 @@ def _theirs(
     of_plane = label[is_near]
     num_high = np.bincount(of_plane, as_high, minlength=len(plane))
     as_high |= has_plane[is_near] & (num_high > RULES.most_share * num_near)[of_plane]
-    as_low = (np.abs(next_m) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
+    as_low = (np.abs(higher_m) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
     result[is_near] &= np.where(rise_m > 0, as_high, as_low) & (np.abs(rise_m) > RULES.step_m)
     return result
 
