@@ -9,6 +9,7 @@
 # make test-slurm    the reduced miniature on a Slurm of this machine alone; as root, with Debian's packages of Slurm
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALLED := $(BIN)/.installed
 CORES ?= 2
 # many small tensors on few cores: OpenMP threads that spin while they wait make torch 40 times slower
 export OMP_WAIT_POLICY := PASSIVE
@@ -16,12 +17,13 @@ export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
 .PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-live test-slurm test-wheel docs lint audit format config mini lock clean
-install: $(BIN)/.installed
+install: $(INSTALLED)
 	$(BIN)/p2wss warm-up --all
 
-$(BIN)/.installed: envs/lock.txt pyproject.toml
+# most modules of the packages are never imported: Python compiles the others when they are
+$(INSTALLED): envs/lock.txt pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r envs/lock.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r envs/lock.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
@@ -32,11 +34,11 @@ engines: install
 eval_report: install
 	snakemake -c$(CORES) eval_report
 
-dry-run: install
+dry-run: $(INSTALLED)
 	snakemake eval_report --dry-run --quiet rules
 
-# two at a time: most of the unit tests use one core
-test: install
+# two at a time: most of the unit tests use one core, and what they need is compiled beside lint
+test: $(INSTALLED)
 	$(MAKE) --jobs=2 --output-sync=target lint test-unit test-workflow
 
 test-unit: install
@@ -67,7 +69,7 @@ docs: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'mkdocs-material>=9.6'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
-lint: install
+lint: $(INSTALLED)
 	ruff check .
 	ruff format --check .
 	mypy

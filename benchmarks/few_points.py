@@ -21,7 +21,7 @@ import real
 import shapely
 from figures import Figures
 
-from p2wss.clouds.crops import AROUND_M, FEW_PER_M2
+from p2wss.clouds.crops import AROUND_M, FEW_POINTS
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.las_classes import BUILDING_CLASS
@@ -67,8 +67,8 @@ def with_roofs_around(buildings: list[Building]) -> list[Building]:
         )
         beside_m = shapely.distance(building.polygon, shapely.points(others_m[:, :2]))
         num_inside = shapely.contains_xy(building.polygon, *building.point_m[:, :2].T).sum()
-        is_few = num_inside < FEW_PER_M2 * building.polygon.area
-        result.append(replace(building, around_m=others_m[(beside_m < AROUND_M) & is_few]))
+        around = (beside_m < AROUND_M) & (num_inside < FEW_POINTS)
+        result.append(replace(building, around_m=others_m[around]))
     return result
 
 
