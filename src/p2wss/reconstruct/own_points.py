@@ -42,12 +42,12 @@ class Rules:
     band_m: what the building has at the strip is seen within this distance of the border. core_m: half the width of a
     wing, less the strip; narrower ones have no strip, because their own roof looks like one. step_m: between a surface
     of the neighbour and the ``num_near`` points of the building nearest to it; the highest of the ``num_beyond``
-    nearest beyond the border may be so much lower. reach_m: points beyond the border show nothing further away.
-    most_per_m2: points of which planes are grown. deep_share: where the density of a plane's points further within is a
-    larger share of that in the strip, the plane is the building's. turn: difference of the slopes of planes that cross,
-    as tangent. beyond_share: a plane goes on beyond the border where it has more points there than this share of those
-    in the strip; crossing_share: of one that crosses another. most_share: where more of a plane's points in the strip
-    than this share are the neighbour's, all of them are.
+    nearest beyond the border may be so much lower, and below the building one of ``num_near`` is less off. reach_m:
+    points beyond the border show nothing further away. most_per_m2: points of which planes are grown. deep_share: where
+    the density of a plane's points further within is a larger share of that in the strip, the plane is the building's.
+    turn: difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border
+    where it has more points there than this share of those in the strip; crossing_share: of one that crosses another.
+    most_share: where more of a plane's points in the strip than this share are the neighbour's, all of them are.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -164,7 +164,8 @@ def _theirs(
     of_plane = label[is_near]
     num_high = np.bincount(of_plane, as_high, minlength=len(plane))
     as_high |= has_plane[is_near] & (num_high > RULES.most_share * num_near)[of_plane]
-    as_low = (np.abs(higher_m) < RULES.step_m).any(axis=1) & (goes_on | ~has_plane)[is_near]
+    as_low = (np.abs(higher_m[:, : RULES.num_near]) < RULES.step_m).any(axis=1)
+    as_low &= (goes_on | ~has_plane)[is_near]
     result[is_near] &= np.where(rise_m > 0, as_high, as_low) & (np.abs(rise_m) > RULES.step_m)
     return result
 
