@@ -42,7 +42,7 @@ test: $(INSTALLED)
 	$(MAKE) --jobs=2 --output-sync=target lint test-unit test-workflow
 
 # of the workflow, what needs no finished miniature: so the two take as long as each other
-BESIDE_UNIT := tests/workflow/test_fetch.py tests/workflow/test_real.py
+BESIDE_UNIT := tests/workflow/test_dag.py tests/workflow/test_fetch.py
 test-unit: install
 	pytest --durations=15 tests/unit tests/faults $(BESIDE_UNIT)
 
