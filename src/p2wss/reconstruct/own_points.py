@@ -42,7 +42,7 @@ class Rules:
     band_m: what the building has at the strip is seen within this distance of the border. core_m: half the width of a
     wing, less the strip; narrower ones have no strip, because their own roof looks like one. step_m: between a surface
     of the neighbour and the ``num_near`` points of the building nearest to it; the highest of the ``num_beyond``
-    nearest beyond the border may be so much lower, and below the building one of ``num_near`` is less off. reach_m:
+    nearest beyond the border may be so much lower, one of the ``num_near`` nearest differ less from a low one. reach_m:
     points beyond the border show nothing further away. most_per_m2: points of which planes are grown. deep_share: where
     the density of a plane's points further within is a larger share of that in the strip, the plane is the building's.
     turn: difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border

@@ -163,6 +163,21 @@ def test_a_building_with_few_points_gets_those_on_the_roofs_around_it():
     assert (cloud.classification[around[0]] == 6).all()
 
 
+@pytest.mark.parametrize("side_m", [10.0, 40.0])
+def test_a_building_has_few_points_by_their_number_whatever_its_area(side_m: float) -> None:
+    polygons = polygon_arrays.to_polygons(
+        [shapely.box(0, 0, side_m, side_m), shapely.box(side_m, 0, 2 * side_m, 5)]
+    )
+    beside = grid_cloud(lambda u, v: 0 * u + 5, (side_m, side_m + 5), (0, 5), 0.5, classes=6)
+    has_roofs_around = []
+    for num_rows in (4, 5):
+        step_m = side_m / 6
+        own = grid_cloud(lambda u, v: 0 * u + 5, (0, num_rows * step_m), (0, side_m), step_m, classes=6)
+        cloud = join(own, beside)
+        has_roofs_around.append(0 in roofs_around(cloud, polygons, crop_cloud(cloud, polygons)))
+    assert has_roofs_around == [True, False]
+
+
 def test_ground_on_a_slope_lies_between_what_is_above_and_below():
     """Few points uphill and many downhill, 8 to 40 m away: the median of either ring is far off."""
     box = shapely.box(60, 60, 70, 70)

@@ -149,6 +149,11 @@ def test_a_low_level_at_the_border_is_the_buildings_where_the_neighbour_has_none
     assert (theirs(point_m) == ((point_m[:, 0] > 7.3) & (point_m[:, 0] < 8))).all()
 
 
+def test_a_low_level_at_the_border_is_the_buildings_where_another_is_as_low_behind_a_high_wing() -> None:
+    point_m = surface({(-1, 7.3): 9.0, (7.3, 8): 4.0, (8, 8.5): 15.0, (8.5, 9): 4.0})
+    assert not theirs(point_m).any()
+
+
 def test_a_falling_eave_above_a_level_roof_is_the_neighbours_though_points_are_few() -> None:
     """On the way to the next point of the roof, its plane would have fallen nearly to that."""
     x, y = np.random.default_rng(2).uniform((-1, 0), (9, 10), (200, 2)).T
