@@ -144,7 +144,18 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     # open ground gets the lowest roof
     raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
     settings = thresholds.planes.times(thresholds.detail[config.detail])
-    planes = fit_planes(prepared.rings, raised_m, settings, prepared.open_ground.num_ground, around_m)
+    # few points hardly show how roofs meet; the paper's building says how they usually do
+    area_m2 = shapely.Polygon(prepared.rings[0], prepared.rings[1:]).area
+    is_sparse = len(point_m) < settings.detection.sparse_per_m2 * area_m2
+    known = raise_parametric(task, prepared) if is_sparse else None
+    planes = fit_planes(
+        prepared.rings,
+        raised_m,
+        settings,
+        prepared.open_ground.num_ground,
+        around_m,
+        known.mesh if isinstance(known, _Solid) else None,
+    )
     if planes is None:
         return None
     return _Solid(planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False)

@@ -115,10 +115,12 @@ class Detection(NamedTuple):
     # per square metre: fewer points are sparse, and the surface around one of them shows nothing
     sparse_per_m2: float = 2.0
     num_sparse_neighbours: int = 8
-    # so few of them show a level roof, so many a slope; of at most so many points in all, each one shows a level roof
+    # so few of them show a level roof, so many a slope; of at most so many points in all, of which so many are on a
+    # square metre, each one shows a level roof; swept on thinned clouds
     min_sparse_points: int = 2
     min_slope_points: int = 3
     num_few_points: int = 300
+    single_per_m2: float = 0.3
     # points from which planes through sparse points are sought, and at most so many times all points
     num_seeds: int = 120
     max_seed_points: int = 40000
@@ -175,7 +177,7 @@ class PlanePrices(NamedTuple):
     edge_m2: float = 0.15
     # for each metre of an edge and each metre by which the distance between points exceeds the second figure; swept on
     # thinned clouds, where it leaves out false edges and costs distance: millimetres, but centimetres with ten points
-    sparse_edge_m: float = 0.3
+    sparse_edge_m: float = 0.2
     dense_gap_m: float = 0.5
     # for each line that has steps, a share of it if that is less of them than the next figure, in metres: else, a tiny
     # face would save the price of a line. Lines with less than the last figure of steps are dispensed with where that
@@ -183,8 +185,10 @@ class PlanePrices(NamedTuple):
     line_m3: float = 0.15
     whole_line_m: float = 0.3
     short_line_m: float = 2.0
-    # shares of it: where two planes meet, where they are nearly the same plane, and a small step
+    # shares of it: where two planes meet, where those of a known roof do (swept on thinned clouds), where they are
+    # nearly the same plane, and a small step
     meet_share: float = 0.5
+    known_share: float = 0.3
     shallow_share: float = 1.5
     small_step_share: float = 2.0
     # metres: planes meet along an edge if no end of it has a larger step

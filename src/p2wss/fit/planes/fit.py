@@ -11,6 +11,7 @@ import shapely
 from p2wss.fit.directions import directions
 from p2wss.fit.planes.arrangement import Arrangement, arrange
 from p2wss.fit.planes.detection import detect, height_over
+from p2wss.fit.planes.known import known_lines, known_planes
 from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import lines_of
 from p2wss.fit.planes.regularity import regular
@@ -27,6 +28,8 @@ _PINCH_M3 = 1e6
 _NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
 _INSIDE_M, _LEVEL = 0.1, 0.02
+# multiples of the distance between few points: each stands for places so far from it
+_SPREAD_GAPS = 0.15
 # metres: a lower roof may be open ground
 _LOW_M = 2.0
 
@@ -79,11 +82,13 @@ def fit_planes(
     settings: Planes,
     num_open: int = 0,
     around_m: np.ndarray | None = None,
+    known: Mesh | None = None,
 ) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
     closed. The last ``num_open`` points are of open ground: where they show it, there is no solid, if one without it is
     closed and in one piece. around_m: (k, 3), points on other roofs, which may have planes and lines in common with
-    this one, as those of a row have."""
+    this one, as those of a row have. known: a roof with which the search begins, and whose planes and lines this one
+    may have."""
     order = even_order(point_m)
     point_m, is_open = point_m[order], order >= len(point_m) - num_open
     density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
@@ -101,7 +106,7 @@ def fit_planes(
     slope = plane[found.label[top], :2]
     rise_m = settings.drawing.reach_m * np.hypot(*slope)
     is_hidden = (corner_m @ slope).max() > (point_m[:, :2] @ slope).max() + rise_m
-    if is_hidden and (found.label == found.label[top]).sum() > 1:
+    if is_hidden and known is None and (found.label == found.label[top]).sum() > 1:
         # where nothing is seen behind the highest point, the other side of a ridge may be as steep
         behind = np.append(-slope, point_m[top, 2] + slope @ point_m[top, :2])
         found.label[top], plane = len(plane), np.vstack([plane, behind])
@@ -109,11 +114,15 @@ def fit_planes(
     hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
     drawing = settings.drawing.for_density(density)
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
-    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, main, drawing))
+    lines, num_found = lines_of(rings, plane, found.label, point_m, main, drawing), len(plane)
+    if known is not None:
+        plane, lines = np.vstack([plane, known_planes(known)]), lines + known_lines(known)
+    cells, num_known = arrange(rings, lines), len(plane) - num_found
     cell = cells.cells_at(point_m[:, :2])
-    prices = settings.prices.for_density(density)
-    costs = costs_of(cells, plane, point_m, cell, density, prices)
-    built = label = _without_pinches(cells, costs, least_cost(costs), plane)
+    seen_m, of_cell = (point_m, cell) if known is None else _spread(cells, point_m, cell, density, main[0])
+    per_m2 = density * len(seen_m) / len(point_m)
+    costs = costs_of(cells, plane, seen_m, of_cell, per_m2, settings.prices.for_density(density), num_known)
+    built = label = _without_pinches(cells, costs, least_cost(costs, num_known), plane)
     if num_open:
         built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
     mesh = solid_below(cells, built, plane, corner_m)
@@ -122,6 +131,21 @@ def fit_planes(
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
     return PlanesFit(plane, cells, label, body, num_bodies, mesh)
+
+
+def _spread(
+    cells: Arrangement, point_m: np.ndarray, cell: np.ndarray, density: float, bearing: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(points (5 m, 3), their cells): each point five times, in its cell and in those around it. Where points are few,
+    each stands for the places around it, and a tiny cell must not have all of its residual. bearing: of the building,
+    radians."""
+    turn = bearing + np.arange(4) * np.pi / 2
+    around_m = (
+        _SPREAD_GAPS * density**-0.5 * np.vstack([[0, 0], np.column_stack([np.cos(turn), np.sin(turn)])])
+    )
+    of_cell = cells.cells_at((point_m[:, None, :2] + around_m).reshape(-1, 2)).reshape(-1, len(around_m))
+    of_cell = np.where(of_cell < 0, cell[:, None], of_cell)
+    return np.repeat(point_m, len(around_m), axis=0), of_cell.ravel()
 
 
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:

@@ -72,9 +72,10 @@ def costs_of(
     of_cell: np.ndarray,
     density: float,
     prices: PlanePrices,
+    num_known: int = 0,
 ) -> Costs:
     """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
-    density: points per square metre, each of which stands for an area."""
+    density: points per square metre, each of which stands for an area. num_known: the last planes, of a known roof."""
     num_planes, own_m = len(plane), point_m[of_cell >= 0]
     off_m = np.minimum(np.abs(heights(plane, own_m[:, :2]) - own_m[:, 2:]), prices.cap_m)
     place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
@@ -91,6 +92,7 @@ def costs_of(
     length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
     fold = np.linalg.norm(plane[:, None, :2] - plane[None, :, :2], axis=2)
     meeting = np.where(fold < prices.shallow, prices.shallow_share, prices.meet_share)
+    meeting[num_planes - num_known :, num_planes - num_known :] = prices.known_share
     side_m3, is_step = _at_sides(end_z, length_m, meeting, prices)
     return Costs(cell_m3, pair, side_m3, is_step, cells.line[is_shared], length_m, prices)
 
@@ -133,17 +135,21 @@ class _Graph(NamedTuple):
     length_m: np.ndarray
 
 
-def least_cost(costs: Costs) -> np.ndarray:
-    """int (c,): the plane over each cell."""
+def least_cost(costs: Costs, num_known: int = 0) -> np.ndarray:
+    """int (c,): the plane over each cell. If so many of the last planes are known, the search begins with these."""
     graph = costs.graph._replace(side_m3=costs.side_m3.copy())
-    return np.asarray(_least_cost(graph, costs.side_m3, costs.prices))
+    return np.asarray(_least_cost(graph, costs.side_m3, costs.prices, num_known))
 
 
 @entry
-def _least_cost(graph: _Graph, side_m3: np.ndarray, prices: PlanePrices) -> np.ndarray:
+def _least_cost(graph: _Graph, side_m3: np.ndarray, prices: PlanePrices, num_known: int) -> np.ndarray:
     """The same. side_m3: of all sides; in the graph, which has a copy, steps are forbidden on lines that are dispensed
     with."""
     label, every = np.zeros(len(graph.cell_m3), np.int64), np.ones(len(graph.cell_m3), np.bool_)
+    number = np.arange(graph.cell_m3.shape[1])
+    label = _relabelled(graph, label, every, number >= (len(number) - num_known) % len(number))
+    if num_known > 0:
+        label = _expanded(graph, label, every, number >= 0)
     label, total_m3 = _with_fewer_faces(graph, prices, label, every)
     is_tried = _steps_m(graph, label) < 0
     while True:
@@ -160,7 +166,8 @@ def _least_cost(graph: _Graph, side_m3: np.ndarray, prices: PlanePrices) -> np.n
             if graph.is_step[side, label[one], label[other]]:
                 beside[face[one]] = beside[face[other]] = True
             graph.side_m3[side] += _FORBIDDEN_M3 * graph.is_step[side]
-        other_label, other_m3 = _with_fewer_faces(graph, prices, label, beside[face])
+        other_label = _relabelled(graph, label, beside[face], number >= 0)
+        other_label, other_m3 = _with_fewer_faces(graph, prices, other_label, beside[face])
         if other_m3 < total_m3 - _GAIN_M3:
             label, total_m3 = other_label, other_m3
         else:
@@ -175,7 +182,6 @@ def _with_fewer_faces(
     """The labels (c,) after some cells, bool (c,), have got the planes of least cost, and faces of such cells have
     given way to those around them, the smallest first; and what they cost."""
     every = np.ones(graph.cell_m3.shape[1], np.bool_)
-    label = _relabelled(graph, label, is_inside, every)
     total_m3 = _total_m3(graph, prices, label)
     # the planes of faces that have been tried, -1 over other cells
     tried, num_tried = np.empty((8, len(label)), np.int64), 0

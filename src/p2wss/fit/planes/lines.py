@@ -28,6 +28,13 @@ class Line(NamedTuple):
     low_m: float = -np.inf
     high_m: float = np.inf
 
+    @classmethod
+    def through(cls, one_m: np.ndarray, other_m: np.ndarray) -> Line:
+        """The line through two places (2,)."""
+        step = other_m - one_m
+        normal = np.array([step[1], -step[0]]) / np.hypot(step[0], step[1])
+        return cls(normal, float(normal @ one_m))
+
     @property
     def direction(self) -> np.ndarray:
         return np.array([-self.normal[1], self.normal[0]])
@@ -102,15 +109,12 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
     result = []
     for ring in rings:
-        edge = np.roll(ring, -1, axis=0) - ring
-        length = np.hypot(edge[:, 0], edge[:, 1])
+        end = np.roll(ring, -1, axis=0)
+        edge = end - ring
         before = np.roll(edge, 1, axis=0)
         is_reflex = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0] < 0
-        for corner, step, size, here, there in zip(
-            ring, edge, length, is_reflex, np.roll(is_reflex, -1), strict=True
-        ):
-            normal = np.array([step[1], -step[0]]) / size
-            result.append((Line(normal, float(normal @ corner)), bool(here or there)))
+        for *ends, here, there in zip(ring, end, is_reflex, np.roll(is_reflex, -1), strict=True):
+            result.append((Line.through(*ends), bool(here or there)))
     return result
 
 

@@ -481,10 +481,16 @@ def test_two_points_show_no_slope_and_three_do() -> None:
     along = directions(rings, 4.0)
     rising_m = np.array([[-8.0, 0.0, 3.0], [-4.0, 0.0, 5.0], [0.0, 0.0, 7.0]])
     for num_points, num_sloped in ((1, 0), (2, 0), (3, 1)):
-        found = detect(rising_m[:num_points], 0.02, along, PLANES.detection)
+        found = detect(rising_m[:num_points], 0.5, along, PLANES.detection)
         assert np.count_nonzero(np.hypot(*found.plane[:, :2].T) > 0.1) == num_sloped
         height_m = height_over(found.plane, found.label, rising_m[:num_points, :2])
         assert height_m == pytest.approx(rising_m[:num_points, 2])
+
+
+def test_a_point_that_stands_for_a_large_area_shows_no_level_roof() -> None:
+    along = directions(gable(20, 8, 4, 0.0)[0], 4.0)
+    for per_m2, num_planes in ((0.5, 1), (0.2, 0)):
+        assert len(detect(np.array([[1.0, 2.0, 5.0]]), per_m2, along, PLANES.detection).plane) == num_planes
 
 
 def test_a_roof_rises_no_further_than_few_points_show() -> None:
