@@ -206,6 +206,8 @@ def test_a_step_beside_a_ridge_goes_with_its_walls() -> None:
     exact = with_exact_faces(mesh)
     assert mesh.is_closed and exact.is_closed and furthest_m(exact) < 1e-6
     assert exact.edge_m.min() > 3 and exact.volume_m3 == pytest.approx(mesh.volume_m3, rel=1e-3)
+    # nothing is left of the step within the ridge
+    assert exact.num_planes_at.min() == 3
     at_ridge = exact.vertex_m[:, 2] > 6
     assert np.ptp(exact.vertex_m[at_ridge], axis=0)[[0, 2]] == pytest.approx([0, 0], abs=0.04)
 
