@@ -22,7 +22,7 @@ from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Thresholds
 from p2wss.mesh import Mesh
-from p2wss.mesh.planar import with_exact_faces
+from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 
 METHOD = "fit"
 # points of class ground, or low ones in a gap of the roof, this far inside the footprint show that no building is there
@@ -184,8 +184,8 @@ def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
 
 
 def remove_short_edges(task: _Task, mesh: Mesh) -> Mesh:
-    """The mesh without short edges."""
-    return with_exact_faces(mesh, task.thresholds.short_edge_m)
+    """The mesh without short edges; where a face went, a vertex may be left within an edge of two others."""
+    return without_straight_vertices(with_exact_faces(mesh, task.thresholds.short_edge_m))
 
 
 def add_chimneys(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:

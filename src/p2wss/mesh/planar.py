@@ -31,8 +31,8 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     without those edges shorter than ``short_m`` that can go, the shortest first.
 
     An edge goes if the planes at both its ends, or those that are left without it, can meet in one point, and the mesh
-    stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, and with vertices within
-    edges, the faces are divided anew.
+    stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are divided
+    anew.
     """
     straight = _with_straight_walls(mesh)
     each = np.arange(len(mesh.vertex_m))
@@ -64,9 +64,13 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
             # none, or a vertex has come to where another one is, and four walls share an upright edge
             result = None
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
-    # where a face went, a vertex may be left within an edge of two
-    stays = mesh.num_planes_at != 2
-    return mesh if stays.all() and not is_narrow.any() else with_faces_divided(mesh, stays)
+    return with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool)) if is_narrow.any() else mesh
+
+
+def without_straight_vertices(mesh: Mesh) -> Mesh:
+    """The mesh without vertices within edges of two faces, if there are any (:func:`with_faces_divided`)."""
+    is_corner = mesh.num_planes_at != 2
+    return mesh if is_corner.all() else with_faces_divided(mesh, is_corner)
 
 
 def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:

@@ -1,15 +1,18 @@
 """Buildings fitted to points: which of several candidates is the result, and that every mesh is closed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import shapely
+from toy_roofs import bent_ridge
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.mesh.parametric import build_meshes
+from p2wss.fit.settings import THRESHOLDS
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
@@ -138,6 +141,12 @@ def test_every_number_of_points_gives_a_closed_solid(num_points, has_network):
     assert z.min() == 0 and 2.5 < z.max() < 12
     ground = shapely.convex_hull(shapely.multipoints(reconstruction.mesh.vertex_m[z == 0][:, :2]))
     assert ground.area == pytest.approx(13 * 8, rel=1e-3)
+
+
+def test_no_vertex_is_left_within_a_ridge_where_a_step_went():
+    task = SimpleNamespace(thresholds=THRESHOLDS)
+    mesh = fitting.remove_short_edges(task, bent_ridge(np.array([[0, 0], [12, 0], [12, 8], [0, 8.0]])))
+    assert mesh.is_closed and mesh.num_planes_at.min() == 3 and len(mesh.vertex_m) == 10
 
 
 def test_detail_is_the_price_of_a_face():

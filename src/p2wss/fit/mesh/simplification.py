@@ -6,7 +6,7 @@ import numpy as np
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.booleans import manifold3d
-from p2wss.mesh.planar import with_faces_divided
+from p2wss.mesh.planar import without_straight_vertices
 from p2wss.mesh.rules import crosses_itself
 
 _SHORT_EDGE_M = 1e-2
@@ -33,6 +33,4 @@ def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
         return None
     out = whole.to_mesh64()
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
-    mesh = Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32))
-    is_corner = mesh.num_planes_at != 2
-    return mesh if is_corner.all() else with_faces_divided(mesh, is_corner)
+    return without_straight_vertices(Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32)))

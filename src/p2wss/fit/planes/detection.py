@@ -66,10 +66,8 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     is_sparse = density < settings.sparse_per_m2
     count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
     is_enough = density >= settings.single_per_m2 and len(point_m) <= settings.num_few_points
-    min_sparse_points = 1 if is_enough else settings.min_sparse_points
-    min_points = max(
-        min_sparse_points if is_sparse else settings.min_points, int(settings.min_area_m2 * density)
-    )
+    fewest = settings.min_points if not is_sparse else 1 if is_enough else settings.min_sparse_points
+    min_points = max(fewest, int(settings.min_area_m2 * density))
     point_m = np.ascontiguousarray(point_m, float)
     _, neighbour = nearest(point_m, point_m, count)
     if is_sparse:
