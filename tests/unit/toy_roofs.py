@@ -22,8 +22,8 @@ def sample(rings, angle_deg, eave_z_m, num_points, noise_m=0.0, top_m=np.inf, se
 
 
 def bent_ridge(plan):
-    """A gable roof over a rectangle of 12 by 8 m, the border of whose slopes is bent: within it, 3 cm beside their ridge,
-    one of them is 15 mm higher."""
+    """A gable roof over a rectangle of 12 by 8 m whose slopes have a bent border: 3 cm beside their ridge, one of them
+    is 15 mm higher."""
     vertex_m = [(*xy, z) for z in (0.0, 5.0) for xy in plan.tolist()]
     vertex_m += [(6, 0, 6.5), (6, 8, 6.5), (6.03, 4, 6.5075), (6.03, 4, 6.4925)]
     faces = [
