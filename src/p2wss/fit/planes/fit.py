@@ -144,7 +144,8 @@ def _spread(
         _SPREAD_GAPS * density**-0.5 * np.vstack([[0, 0], np.column_stack([np.cos(turn), np.sin(turn)])])
     )
     of_cell = cells.cells_at((point_m[:, None, :2] + around_m).reshape(-1, 2)).reshape(-1, len(around_m))
-    of_cell = np.where(of_cell < 0, cell[:, None], of_cell)
+    # a point on another roof says nothing of this one
+    of_cell = np.where(np.minimum(of_cell, cell[:, None]) < 0, cell[:, None], of_cell)
     return np.repeat(point_m, len(around_m), axis=0), of_cell.ravel()
 
 
