@@ -56,10 +56,7 @@ class Evidence:
 def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
     """The evidence against footprints."""
     count = len(polygons)
-    point, _, _ = crop_points(cloud.x_m, cloud.y_m, polygons, RULES.beyond_m + 2)
-    used = np.zeros(len(cloud), bool)
-    used[point] = True
-    cells = _Cells(cloud.x_m[used], cloud.y_m[used], cloud.classification[used])
+    cells = _Cells(cloud.x_m, cloud.y_m, cloud.classification)
     cell, inside, offset = crop_points(cells.x_m, cells.y_m, polygons, RULES.beyond_m)
     footprint = np.repeat(np.arange(count), np.diff(offset))
     of_cell = np.full(len(cells.x_m), -1)

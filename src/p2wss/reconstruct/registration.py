@@ -37,8 +37,6 @@ from p2wss.storage.features import Features
 _BESIDE_M = 20.0
 # points this far from a block matter to it: the largest shift, the strip of an edge, and a cell of the search
 REACH_M = MAX_SHIFT_M + WINDOW_M + SEARCH.cell_m
-# the search, the steps of the edges and the gain look at the places of the next blocks once each
-_HOPS = 3
 
 EDGES, NOTHING = "edges", "none"
 
@@ -49,14 +47,12 @@ class Evidence:
     (``benchmarks/registration.py``, seeds 0 to 2).
 
     min_steps, max_sd_m: evidence is clear with as many edges with steps, and
-    with a standard deviation of at most this. min_gain: of the weights inside, by the shift, as a share of what the
-    swept points could give. min_shift_m, min_sigmas: a shift is used from this length, and from this many standard
-    deviations.
+    with a standard deviation of at most this. min_shift_m, min_sigmas: a shift is used from this length, and from this
+    many standard deviations.
     """
 
     min_steps: int = 3
     max_sd_m: float = 0.25
-    min_gain: float = -0.1
     min_shift_m: float = 0.25
     min_sigmas: float = 3.0
 
@@ -186,7 +182,7 @@ class Surroundings:
         all these with which they compete for points.
         """
         blocks = np.unique(self._of_present[is_chosen[self._present]])
-        for distance_m in (_BESIDE_M, *[2 * REACH_M] * _HOPS):
+        for distance_m in (_BESIDE_M, 2 * REACH_M):
             blocks = np.unique(
                 self._tree.query(self._box[blocks], predicate="dwithin", distance=distance_m)[1]
             )
@@ -210,7 +206,7 @@ def moved(xy_m: np.ndarray, block: np.ndarray, shift_m: np.ndarray) -> np.ndarra
 def block_shifts(blocks: Blocks, cloud: Cloud) -> Shifts:
     """The movement of every block."""
     near = _Near(blocks, cloud)
-    return decide(*near.estimates())
+    return decide(near.estimates())
 
 
 class _Near:
@@ -230,64 +226,34 @@ class _Near:
         for block in np.flatnonzero(np.diff(first) > 1).tolist():
             self.points[block] = np.unique(self.points[block])
         self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
-        areas = shapely.area(polygon_arrays.to_geometries(blocks.outline))
-        self.area_m2 = np.bincount(blocks.of_outline, areas, len(blocks))
 
-    def block_of_points(self, shift_m: np.ndarray) -> np.ndarray:
-        """The block in whose outline each point is when the blocks are moved so, -1 for none."""
-        outline = self.blocks.outline
-        of_vertex = np.repeat(self.blocks.of_outline, np.diff(outline.vertex_offset))
-        xy_m = moved(outline.xy_m, of_vertex, shift_m)
-        polygons = Polygons(xy_m, outline.ring_offset, outline.polygon_offset)
-        point, inside, offset = crop_points(self.x_m, self.y_m, polygons, 0.0)
+    def block_of_points(self) -> np.ndarray:
+        """The block in whose outline each point is, -1 for none."""
+        point, inside, offset = crop_points(self.x_m, self.y_m, self.blocks.outline, 0.0)
         of_pair = np.repeat(self.blocks.of_outline, np.diff(offset))
         result = np.full(len(self.x_m), -1, np.int64)
         # in an overlap, a point is of the first block
         result[point[inside][::-1]] = of_pair[inside][::-1]
         return result
 
-    def estimates(self) -> tuple[list[Estimate], np.ndarray]:
-        """The estimate of every block, and the gain: by how much the weights inside rise with the shift, as a share of
-        what they would if all swept points were on buildings in front and on the ground behind."""
-        blocks, count = self.blocks, len(self.blocks)
-        shift_m = np.zeros((count, 2))
-        inside = in_place = self.block_of_points(shift_m)
-        for block in range(count):
+    def estimates(self) -> list[Estimate]:
+        """The estimate of every block."""
+        blocks, rows = self.blocks, list(pairwise(self.edges))
+        shift_m, inside = np.zeros((len(blocks), 2)), self.block_of_points()
+        for block, (first, last) in enumerate(rows):
             point = self.points[block]
             point = point[(inside[point] == block) | (inside[point] < 0)]
             xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
-            edge = blocks.edge[self.edges[block] : self.edges[block + 1]]
-            shift_m[block] = search_shift(edge, xy_m, self.weight[point])
-        estimates = self._solved(shift_m, self.block_of_points(shift_m))
-        shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
-        before, _ = self._sums(in_place)
-        after, on_building = self._sums(self.block_of_points(shift_m))
-        gain = np.zeros(count)
-        for block, each in enumerate(estimates):
-            ends = blocks.edge[self.edges[block] : self.edges[block + 1]].reshape(-1, 2)
-            swept_m2 = float(np.ptp(ends @ [-each.shift_m[1], each.shift_m[0]]))
-            area_m2 = self.area_m2[block]
-            gain[block] = (after - before)[block] * area_m2 / max(2 * on_building[block] * swept_m2, 1e-9)
-        return estimates, gain
-
-    def _sums(self, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The sum of the weights inside each block, and the number of points on buildings there."""
-        used = inside >= 0
-        sums = np.bincount(inside[used], self.weight[used], len(self.blocks))
-        return sums, np.bincount(inside[used], self.weight[used] > 0, len(self.blocks))
-
-    def _solved(self, shift_m: np.ndarray, inside: np.ndarray) -> list[Estimate]:
-        blocks = self.blocks
-        ends = blocks.edge.reshape(-1, 2)
-        edge = moved(ends, np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
-        steps = edge_steps(edge, blocks.of_edge, self.x_m, self.y_m, self.weight, inside)
+            shift_m[block] = search_shift(blocks.edge[first:last], xy_m, self.weight[point])
+        edge = moved(blocks.edge.reshape(-1, 2), np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
+        step_m = edge_steps(edge, self.x_m, self.y_m, self.weight)
         return [
-            solve_shift(edge[first:last], steps.of(slice(first, last)), shift_m[block])
-            for block, (first, last) in enumerate(pairwise(self.edges))
+            solve_shift(edge[first:last], step_m[first:last], shift_m[block])
+            for block, (first, last) in enumerate(rows)
         ]
 
 
-def decide(estimates: list[Estimate], gain: np.ndarray) -> Shifts:
+def decide(estimates: list[Estimate]) -> Shifts:
     """The movements that are applied, decided by the evidence."""
     count = len(estimates)
     shift_m, sd_m, overhang_m = np.zeros((count, 2)), np.full(count, np.nan), np.full(count, np.nan)
@@ -300,7 +266,6 @@ def decide(estimates: list[Estimate], gain: np.ndarray) -> Shifts:
         if not length_m <= MAX_SHIFT_M or block_sd_m > EVIDENCE.max_sd_m:
             continue
         source[block], sd_m[block], overhang_m[block] = EDGES, block_sd_m, each.overhang_m
-        is_significant = length_m >= EVIDENCE.min_sigmas * block_sd_m
-        if is_significant and gain[block] >= EVIDENCE.min_gain and length_m >= EVIDENCE.min_shift_m:
+        if length_m >= max(EVIDENCE.min_sigmas * block_sd_m, EVIDENCE.min_shift_m):
             shift_m[block] = np.round(each.shift_m, 3)
     return Shifts(shift_m, sd_m, source, overhang_m)

@@ -14,7 +14,6 @@ import numpy as np
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
-from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
@@ -23,8 +22,6 @@ MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
 DATA_M, _MIN_BEYOND_SHARE = 4.0, 0.2
 # sums of weights that differ by less are equal: they are sums of halves
 _ROUNDING = 1e-9
-# components of a shift: as many steps are explained by it exactly
-_NUM_COMPONENTS = 2
 
 
 @dataclass(frozen=True)
@@ -51,20 +48,15 @@ class StepRules:
     end_m: part at either end of the edge that is not used, because the points there may belong to the next wall.
     min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: the weights inside a clear step exceed
     those of a strip that is all inside, and of one that is all outside, by so many points, and by this share of those
-    of the side with fewer. nearly_points: steps whose weights are less than the best by at most so many are nearly as
-    good; half the distance to the farthest is what the points leave uncertain. sd_m, double_variance_m, least_length_m:
-    standard deviation of the step of a long edge, from the accuracy of footprints and points; length of an edge with
-    twice its variance; shorter edges count as this long.
+    of the side with fewer: a tree may hide where the roof ends. sd_m: standard deviation of a step, from the accuracy
+    of footprints and points.
     """
 
     end_m: float = 0.3
     min_edge_m: float = 1.0
     min_gain_points: float = 4.0
     min_gain_share: float = 0.5
-    nearly_points: float = 3.0
     sd_m: float = 0.1
-    double_variance_m: float = 3.0
-    least_length_m: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -86,21 +78,6 @@ class Expected:
 
 
 SEARCH, STEP, EXPECTED = Search(), StepRules(), Expected()
-
-
-@dataclass(frozen=True)
-class Steps:
-    """The step of each of e edges: NaN where the points show none.
-
-    offset_m: where the building ends, along the outward normal from the edge, (e,). sd_m: its standard deviation, (e,).
-    """
-
-    offset_m: np.ndarray
-    sd_m: np.ndarray
-
-    def of(self, rows: np.ndarray | slice) -> Steps:
-        """The steps of some of the edges."""
-        return Steps(self.offset_m[rows], self.sd_m[rows])
 
 
 @dataclass(frozen=True)
@@ -151,17 +128,11 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     total = np.round(2 * total[np.ix_(steps, steps)]) / 2
     dy, dx = np.meshgrid(steps * cell_m, steps * cell_m, indexing="ij")
     total = np.where(dx**2 + dy**2 <= MAX_SHIFT_M**2, total, -np.inf)
-    best = np.unravel_index(np.argmax(total), total.shape)
     # with an overhang, all shifts up to its length are as good
-    as_good = total >= total[best] - max(
+    as_good = total >= total.max() - max(
         SEARCH.as_good_points, SEARCH.as_good_share * float(np.abs(weight[keep]).sum())
     )
-    first, second = cell_neighbours(as_good)
-    are_good = as_good.ravel()[first] & as_good.ravel()[second]
-    pairs = np.column_stack([first, second])[are_good]
-    number = groups(as_good.size, pairs).reshape(as_good.shape)
-    near_best = number == number[best]
-    return np.array([dx[near_best].mean(), dy[near_best].mean()])
+    return np.array([dx[as_good].mean(), dy[as_good].mean()])
 
 
 def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
@@ -192,19 +163,12 @@ def strips(edge: np.ndarray, outside_m: float = WINDOW_M, inside_m: float = WIND
     return Polygons(corner.reshape(-1, 2), np.arange(len(is_long) + 1) * 4, np.cumsum(num_rings))
 
 
-def edge_steps(
-    edge: np.ndarray,
-    block: np.ndarray,
-    x_m: np.ndarray,
-    y_m: np.ndarray,
-    weight: np.ndarray,
-    block_of_point: np.ndarray,
-) -> Steps:
-    """The step of each edge (e, 4) from the points in the strip over it.
+def edge_steps(edge: np.ndarray, x_m: np.ndarray, y_m: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Where the building ends, along the outward normal from each edge (e, 4), (e,): by the points in the strip over
+    it. NaN where they do not show it.
 
-    edge: counter-clockwise around the block, so that the outside is on the right. block: (e,), the block of each edge.
-    weight: (n,), 1 for a point on a building and less than 0 for any other. block_of_point: (n,), the block in whose
-    outline a point is, -1 for none.
+    edge: counter-clockwise around the block, so that the outside is on the right. weight: (n,), 1 for a point on a
+    building and less than 0 for any other.
     """
     point, _, offset = crop_points(x_m, y_m, strips(edge), 0.0)
     of_edge = np.repeat(np.arange(len(edge)), np.diff(offset))
@@ -212,19 +176,17 @@ def edge_steps(
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
     distance = (x_m[point] - edge[of_edge, 0]) * along[of_edge, 1]
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
-    keep = (block_of_point[point] == block[of_edge]) | (block_of_point[point] < 0)
-    of_edge, distance, value = of_edge[keep], distance[keep], weight[point[keep]]
+    value = weight[point]
     order = np.lexsort([value, distance, of_edge])
-    steps = _steps(of_edge[order], distance[order], value[order], edge)
+    offset_m = _steps(of_edge[order], distance[order], value[order], len(edge))
     # where the data end, nothing shows that the building does
     _, _, beyond = crop_points(x_m, y_m, strips(edge, DATA_M, 0.0), 0.0)
-    is_shown = np.diff(beyond) > np.diff(offset) * _MIN_BEYOND_SHARE
-    return Steps(np.where(is_shown, steps.offset_m, np.nan), np.where(is_shown, steps.sd_m, np.nan))
+    return np.where(np.diff(beyond) > np.diff(offset) * _MIN_BEYOND_SHARE, offset_m, np.nan)
 
 
-def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: np.ndarray) -> Steps:
+def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, num_edges: int) -> np.ndarray:
     """The steps from points sorted by edge and distance."""
-    offset_m, sd_m = np.full(len(edge), np.nan), np.full(len(edge), np.nan)
+    offset_m = np.full(num_edges, np.nan)
     # from here on of the edges with points only
     edges, start, of_point, count = np.unique(
         of_edge, return_index=True, return_inverse=True, return_counts=True
@@ -234,37 +196,30 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: n
     score = running - before[of_point]  # of a step just behind each point
     best = np.maximum.reduceat(score, start)
     total = score[start + count - 1]
-    index = np.arange(len(score))
-    at_best = np.where(score >= best[of_point] - _ROUNDING, index, len(score))
+    at_best = np.where(score >= best[of_point] - _ROUNDING, np.arange(len(score)), len(score))
     last = np.minimum.reduceat(at_best, start)
-    nearly = np.where(score >= best[of_point] - STEP.nearly_points, index, len(score))
-    nearly_first = np.minimum.reduceat(nearly, start)
-    gain = np.minimum(best, best - total)
     positive = np.bincount(of_point, np.maximum(value, 0))
     negative = np.bincount(of_point, np.maximum(-value, 0))
-    is_clear = (gain >= STEP.min_gain_points) & (gain >= STEP.min_gain_share * np.minimum(positive, negative))
+    least = np.maximum(STEP.min_gain_points, STEP.min_gain_share * np.minimum(positive, negative))
+    is_clear = np.minimum(best, best - total) >= least
     rows, last = edges[is_clear], last[is_clear]
     lower = distance[last]
     beyond = np.minimum(last + 1, len(distance) - 1)
     upper = np.where(of_edge[beyond] == rows, distance[beyond], WINDOW_M)
-    length = np.linalg.norm(edge[rows, 2:] - edge[rows, :2], axis=1) - 2 * STEP.end_m
     spacing = 1.0 / np.maximum(count[is_clear] / (2 * WINDOW_M), 1.0)
     offset_m[rows] = lower + np.minimum((upper - lower) / 2, spacing)
-    spread = lower - distance[nearly_first[is_clear]]
-    of_length = 1 + STEP.double_variance_m / np.maximum(length, STEP.least_length_m)
-    sd_m[rows] = np.sqrt(STEP.sd_m**2 * of_length + (spread / 2) ** 2)
-    return Steps(offset_m, sd_m)
+    return offset_m
 
 
-def solve_shift(edge: np.ndarray, steps: Steps, start_m: np.ndarray) -> Estimate:
+def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Estimate:
     """The shift of one block from the steps of its edges, by robust least squares.
 
     The step of an edge is the shift along its normal, plus an overhang that all edges share.
 
     edge: ends of the edges, (e, 4), metres, already with the shift ``start_m``, (2,), which is part of the result.
-    steps: of these edges.
+    step_m: of these edges, (e,), NaN for none.
     """
-    rows = np.flatnonzero(np.isfinite(steps.offset_m))
+    rows = np.flatnonzero(np.isfinite(step_m))
     if not len(rows):
         return Estimate(start_m, np.zeros((2, 2)), 0.0, 0)
     along = edge[rows, 2:] - edge[rows, :2]
@@ -273,16 +228,13 @@ def solve_shift(edge: np.ndarray, steps: Steps, start_m: np.ndarray) -> Estimate
     of_shift = 1 / EXPECTED.shift_sd_m**2
     prior = np.diag([of_shift, of_shift, 1 / EXPECTED.overhang_sd_m**2])
     expected = np.array([0.0, 0.0, EXPECTED.overhang_m])
-    target, weight = steps.offset_m[rows], 1 / steps.sd_m[rows] ** 2
     robust = np.ones(len(rows))
     for _ in range(EXPECTED.num_rounds):
-        normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
-        value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ expected)
-        residual = target - design @ value
-        robust = 1 / (1 + (residual / EXPECTED.half_weight_m) ** 2)
-    num_redundant = max(robust.sum() - _NUM_COMPONENTS, 1.0)
-    scale = max(1.0, float((weight * robust * residual**2).sum() / num_redundant))
+        weight = robust / STEP.sd_m**2
+        normal_matrix = design.T @ (design * weight[:, None]) + prior
+        value = np.linalg.solve(normal_matrix, design.T @ (weight * step_m[rows]) + prior @ expected)
+        robust = 1 / (1 + ((step_m[rows] - design @ value) / EXPECTED.half_weight_m) ** 2)
     without_prior = of_shift - EXPECTED.rest_of_prior
-    covariance = np.linalg.inv((normal_matrix - np.diag([without_prior, without_prior, 0.0])) / scale)
+    covariance = np.linalg.inv(normal_matrix - np.diag([without_prior, without_prior, 0.0]))
     information = np.linalg.inv(covariance[:2, :2])
     return Estimate(start_m + value[:2], information, float(value[2]), len(rows))

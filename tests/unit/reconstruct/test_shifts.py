@@ -5,55 +5,43 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from p2wss.reconstruct.shifts import Steps, edge_steps, solve_shift
+from p2wss.reconstruct.shifts import edge_steps, solve_shift
 
 # the outside is on the right: at x > 0
 WALL = np.array([[0.0, 0.0, 0.0, 10.0]])
 
 
-def steps_of(roofs: list[tuple[float, float]], footprints: list[tuple[float, float]]) -> Steps:
-    """The steps of the wall. Roofs and footprints of its block: ranges of x; ground everywhere else."""
+def steps_of(roofs: list[tuple[float, float]]) -> np.ndarray:
+    """The step of the wall. Roofs: ranges of x; ground everywhere else."""
     draw = np.random.default_rng(0)
     x_m, y_m = draw.uniform(-2, 2, 800), draw.uniform(0, 10, 800)
     weight = np.full(800, -1.0)
-    block_of_point = np.full(800, -1)
     for low, high in roofs:
         weight[(x_m > low) & (x_m < high)] = 1.0
-    for low, high in footprints:
-        block_of_point[(x_m > low) & (x_m < high)] = 0
-    return edge_steps(WALL, np.zeros(1, np.int64), x_m, y_m, weight, block_of_point)
+    return edge_steps(WALL, x_m, y_m, weight)
 
 
 @pytest.mark.parametrize("offset_m", [-0.3, 0.0, 0.4])
 def test_a_wall_has_its_step_where_the_roof_ends(offset_m: float) -> None:
-    steps = steps_of([(-2, offset_m)], [(-2, 0)])
-    assert steps.offset_m == pytest.approx([offset_m], abs=0.06)
+    assert steps_of([(-2, offset_m)]) == pytest.approx([offset_m], abs=0.06)
 
 
 def test_an_edge_without_a_building_has_no_step() -> None:
-    assert np.isnan(steps_of([], [(-2, 0)]).offset_m).all()
+    assert np.isnan(steps_of([])).all()
 
 
 def test_an_edge_at_the_border_of_the_data_has_no_step() -> None:
     """Ground up to 0.8 m beyond the roof may be all that was read."""
     draw = np.random.default_rng(0)
     x_m, y_m = draw.uniform(-2, 0.1, 800), draw.uniform(0, 10, 800)
-    inside = np.where(x_m < 0, 0, -1)
     for width_m, is_shown in ((0.0, False), (2.0, True)):
         ground_x, ground_y = draw.uniform(0.1, 0.2 + width_m, 400), draw.uniform(0, 10, 400)
         weight = np.concatenate([np.ones(800), -np.ones(400)])
         if not is_shown:
             ground_x, ground_y = ground_x[:60], ground_y[:60]
             weight = weight[:860]
-        steps = edge_steps(
-            WALL,
-            np.zeros(1, np.int64),
-            np.concatenate([x_m, ground_x]),
-            np.concatenate([y_m, ground_y]),
-            weight,
-            np.concatenate([inside, np.full(len(ground_x), -1)]),
-        )
-        assert np.isfinite(steps.offset_m[0]) == is_shown
+        step_m = edge_steps(WALL, np.concatenate([x_m, ground_x]), np.concatenate([y_m, ground_y]), weight)
+        assert np.isfinite(step_m[0]) == is_shown
 
 
 def test_one_wrong_step_hardly_moves_a_block() -> None:
@@ -62,9 +50,8 @@ def test_one_wrong_step_hardly_moves_a_block() -> None:
     edge = np.column_stack([corner, np.roll(corner, -1, axis=0)])
     along = edge[:, 2:] - edge[:, :2]
     normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
-    offset_m = normal @ [0.4, 0.2]
-    offset_m[0] += 1.2
-    steps = Steps(offset_m, np.full(8, 0.1))
-    estimate = solve_shift(edge, steps, np.zeros(2))
+    step_m = normal @ [0.4, 0.2]
+    step_m[0] += 1.2
+    estimate = solve_shift(edge, step_m, np.zeros(2))
     assert estimate.shift_m == pytest.approx([0.4, 0.2], abs=0.05)
     assert estimate.num_steps == 8
