@@ -106,23 +106,12 @@ def shaft_points(
     def nearest_place(xy_m: np.ndarray) -> tuple[np.ndarray, ...]:
         return tuple(np.minimum(np.rint((xy_m - start_m) / step_m).astype(int), np.array(x.shape) - 1).T)
 
-    # the distance from the next point is needed only where squares that are within reach of a point leave a gap
-    is_near = np.zeros(x.shape, bool)
-    is_near[nearest_place(roof_m[:, :2])] = True
-    square = np.arange(-(reach := int((radius_m / step_m - np.sqrt(0.5)) / np.sqrt(2))), reach + 1)
-    column, row = np.nonzero(is_near)
-    columns, rows = (
-        np.add.outer(each, square).clip(0, size - 1)
-        for each, size in ((column, x.shape[0]), (row, x.shape[1]))
-    )
-    is_near[columns[:, :, None], rows[:, None]] = True
-    may_be_m = place_m[~is_near.ravel()]
-    may_be_m = may_be_m[shapely.contains_xy(polygon, *may_be_m.T)]
-    middle_m = may_be_m[nearest(roof_m[:, :2], may_be_m)[0][:, 0] > radius_m]
+    inside = shapely.contains_xy(polygon, *place_m.T)
+    within_m = place_m[inside]
+    middle_m = within_m[nearest(roof_m[:, :2], within_m)[0][:, 0] > radius_m]
     if not len(middle_m):
         return np.zeros((0, 3))
-    inside = shapely.contains_xy(polygon, *place_m.T)
-    inside[inside] = nearest(middle_m, place_m[inside])[0][:, 0] < radius_m
+    inside[inside] = nearest(middle_m, within_m)[0][:, 0] < radius_m
     first, second = cell_neighbours(x)
     linked = inside[first] & inside[second]
     area = groups(x.size, np.column_stack([first[linked], second[linked]]))
