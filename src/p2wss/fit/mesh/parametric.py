@@ -12,6 +12,7 @@ from p2wss import skeleton
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.fit.directions import edge_ends
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import Meshes, Polygons
 
@@ -60,8 +61,8 @@ def transfer_angles(
     """
     if len(source_rings) == len(target_rings) and all(map(np.array_equal, source_rings, target_rings)):
         return np.asarray(angle_deg, float)
-    start, end = _edges(source_rings)
-    target_start, target_end = _edges(target_rings)
+    start, end = np.moveaxis(edge_ends(source_rings), 1, 0)
+    target_start, target_end = np.moveaxis(edge_ends(target_rings), 1, 0)
     midpoint = (target_start + target_end) / 2
     along = end - start
     length = np.linalg.norm(along, axis=1)
@@ -129,10 +130,6 @@ def kernel_mesh(
 
 def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:
     return [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
-
-
-def _edges(rings: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    return np.concatenate(list(rings)), np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
 
 
 def _num_vertices(polygon: shapely.Polygon) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from p2wss.fit.directions import edge_ends
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -24,8 +25,8 @@ def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = R
     or down to the planes of the roofs that meet there.
     """
     vertex_m, planes = mesh.vertex_m, mesh.planes
-    start = np.concatenate(list(rings))
-    along = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - start
+    start, end = np.moveaxis(edge_ends(rings), 1, 0)
+    along = end - start
     length = np.hypot(along[:, 0], along[:, 1])
     outward = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
     result = np.array(vertex_m, float)

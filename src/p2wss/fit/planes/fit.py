@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import directions
+from p2wss.fit.directions import directions, edge_ends
 from p2wss.fit.planes.arrangement import Arrangement, arrange
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.known import known_lines, known_planes
@@ -53,11 +53,11 @@ class PlanesFit:
         The eave is the lowest height of the roof above the edges from which it rises, or of a level one. Bodies below
         2 m, which may be open ground, count only if there is no other.
         """
-        start = np.concatenate(rings)
-        edge = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
+        ends = edge_ends(rings)
+        edge = ends[:, 1] - ends[:, 0]
         length_m = np.hypot(edge[:, 0], edge[:, 1])
         inwards = np.column_stack([-edge[:, 1], edge[:, 0]]) / length_m[:, None]
-        middle_m = start + edge / 2
+        middle_m = ends.mean(axis=1)
         cell = self.cells.cells_at(middle_m + _INSIDE_M * inwards)
         number = self.label[cell]
         slope = self.plane[number, :2]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import turn_between
+from p2wss.fit.directions import edge_ends, turn_between
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.points import median
 from p2wss.fit.settings import Drawing
@@ -109,12 +109,16 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
     result = []
     for ring in rings:
-        end = np.roll(ring, -1, axis=0)
-        edge = end - ring
-        before = np.roll(edge, 1, axis=0)
-        is_reflex = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0] < 0
-        for *ends, here, there in zip(ring, end, is_reflex, np.roll(is_reflex, -1), strict=True):
-            result.append((Line.through(*ends), bool(here or there)))
+        edge = np.diff(edge_ends([ring]), axis=1)[:, 0]
+        normal = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.hypot(edge[:, 0], edge[:, 1])[:, None]
+        offset_m = (normal * ring).sum(axis=1).tolist()
+        # the edge before each is at the same place of an array that begins with the last
+        before = edge[np.arange(len(edge)) - 1]
+        is_reflex = (before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0] < 0).tolist()
+        goes_on = [
+            here or there for here, there in zip(is_reflex, is_reflex[1:] + is_reflex[:1], strict=True)
+        ]
+        result += [(Line(*line), further) for *line, further in zip(normal, offset_m, goes_on, strict=True)]
     return result
 
 
@@ -197,12 +201,13 @@ def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) ->
     middle_m = end_m.mean(axis=1)
     is_same = np.abs(normal[len(edges) :] @ normal.T) > np.cos(np.radians(settings.same_deg / 2))
     is_same &= np.abs(middle_m @ normal.T - offset_m) < settings.snap_m
-    is_target = np.arange(len(targets)) < len(edges)
     result: dict[int, Line] = {}
-    for own, (step, same) in enumerate(zip(steps, is_same, strict=True), len(edges)):
-        if (same & is_target).any():
-            number = int((same & is_target).argmax())
+    used = list(range(len(edges)))
+    for own, (step, same) in enumerate(zip(steps, is_same.tolist(), strict=True), len(edges)):
+        number = next((each for each in used if same[each]), own)
+        if number < own:
             result[number] = result.get(number, targets[number]).along(end_m[own - len(edges)], 0.0)
         else:
-            result[own], is_target[own] = step, True
+            used.append(own)
+            result[own] = step
     return list(result.values())

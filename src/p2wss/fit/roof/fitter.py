@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from p2wss.fit.directions import turn_between
+from p2wss.fit.directions import edge_ends, turn_between
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof.prior import Prior
 from p2wss.fit.roof.solve import Problem, Roofs, evaluate, improved
@@ -88,7 +88,7 @@ def roof_loss(
 def edge_groups(rings: Sequence[np.ndarray], same_deg: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
     """(direction (n,), axis (n,)) of the edges: numbers that are the same where edges face the same way, and where they
     are parallel; 0 is that of the greatest total length."""
-    edge = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
+    edge = np.diff(edge_ends(rings), axis=1)[:, 0]
     bearing_deg = np.degrees(np.arctan2(edge[:, 1], edge[:, 0]))
     # lengths are compared in whole millimetres, so that rounding errors decide nothing
     length_mm = np.rint(1000.0 * np.hypot(*edge.T))

@@ -11,11 +11,11 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
-from p2wss.fit.planes.arrangement import arrange
+from p2wss.fit.planes.arrangement import GRID_M, _pieces, arrange
 from p2wss.fit.planes.detection import _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
-from p2wss.fit.planes.lines import Line, lines_of
+from p2wss.fit.planes.lines import Line, edges_of, ends_of, lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import at_pinch, solid_below
 from p2wss.fit.settings import Planes
@@ -205,6 +205,65 @@ def test_lines_divide_a_footprint() -> None:
     assert number[4] == -1
 
 
+def cells_by_geos(rings: list[np.ndarray], lines: list[Line]) -> np.ndarray:
+    """The cells of GEOS's own snap rounding."""
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    drawn = shapely.linestrings(ends_of(lines, 100.0))
+    network = shapely.union_all([polygon.boundary, *drawn], grid_size=GRID_M)
+    cells = shapely.get_parts(shapely.polygonize(shapely.get_parts(network)))
+    return cells[shapely.contains(polygon, shapely.point_on_surface(cells))]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_cells_are_those_of_geos(seed: int) -> None:
+    """Of lines through common points, along edges, askew by a hair, and of some that end within the footprint, around
+    a cell of their own, too."""
+    rng = np.random.default_rng([5, seed])
+    outside = np.array([[0.0, 0.0], [14.0, 0.0], [14.0, 6.0], [9.0, 6.0], [9.0, 11.0], [0.0, 11.0]])
+    rings = [outside, np.array([[3.0, 3.0], [3.0, 5.0], [6.0, 5.0], [6.0, 3.0]])][: 1 + seed % 2]
+    turn = rng.uniform(0, np.pi)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    rings, common = [ring @ rotation.T for ring in rings], rng.uniform(1, 9, 2) @ rotation.T
+    angle = rng.uniform(0, np.pi, 6)
+    normals = np.column_stack([np.cos(angle), np.sin(angle)])
+    lines = [Line(each, float(each @ common)) for each in normals[:3]]
+    lines += [Line(each, float(each @ rng.uniform(1, 9, 2)), -9.0, 3.0) for each in normals[3:]]
+    lines += [edge for edge, is_reflex in edges_of(rings) if is_reflex]
+    lines.append(lines[-1]._replace(offset_m=lines[-1].offset_m + 1e-4))
+    box = edges_of([np.array([[10.0, 1.0], [11.5, 1.0], [11.5, 2.0], [10.0, 2.0]]) @ rotation.T])
+    ends_m = np.array([[10.0, 1.0], [11.5, 1.0], [11.5, 2.0], [10.0, 2.0]]) @ rotation.T
+    lines += [
+        edge.along(np.array(ends), 0.0)
+        for (edge, _), *ends in zip(box, ends_m, np.roll(ends_m, -1, axis=0), strict=True)
+    ]
+    cells, expected = arrange(rings, lines), cells_by_geos(rings, lines)
+    expected = expected[shapely.area(expected) > 0.01]
+    large = cells.area_m2 > 0.01
+    assert np.sort(cells.area_m2[large]) == pytest.approx(np.sort(shapely.area(expected)), abs=0.02)
+    assert cells.area_m2.sum() == pytest.approx(shapely.Polygon(rings[0], rings[1:]).area, abs=0.02)
+    place_m = np.round(rng.uniform(-14, 14, (500, 2)), 3)
+    pair, number = shapely.STRtree(expected).query(shapely.points(place_m), predicate="within")
+    middle = cells.middle_m[cells.cells_at(place_m[pair])]
+    beside = shapely.distance(expected[number], shapely.points(middle))
+    assert (beside > 2e-3).sum() <= 2
+    is_outside = ~shapely.intersects_xy(shapely.Polygon(rings[0], rings[1:]), place_m[:, 0], place_m[:, 1])
+    assert (cells.cells_at(place_m)[is_outside] == -1).all()
+
+
+def test_pieces_have_only_ends_in_common() -> None:
+    rng = np.random.default_rng(6)
+    # a fan through one place, and lines almost along each other
+    ends_m = rng.uniform(-20, 20, (30, 2, 2))
+    fan = rng.uniform(-20, 20, (10, 2))
+    ends_m = np.concatenate([ends_m, np.stack([fan, 2 * ends_m[0, 0] - fan], axis=1), ends_m[:9] + 4e-4])
+    pieces = shapely.linestrings(_pieces(ends_m / GRID_M))
+    first, second = shapely.STRtree(pieces).query(pieces, predicate="intersects")
+    first, second = first[first < second], second[first < second]
+    meeting = shapely.intersection(pieces[first], pieces[second])
+    assert (shapely.get_type_id(meeting) == shapely.GeometryType.POINT).all()
+    assert shapely.touches(pieces[first], pieces[second]).all()
+
+
 def test_cells_do_not_depend_on_the_order_of_lines() -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     lines = [Line(np.array([np.cos(a), np.sin(a)]), 6.0 + a) for a in (0.1, 0.5, 0.9, 1.3)]
@@ -351,8 +410,10 @@ def test_solids_are_closed_planar_and_upright(seed: int) -> None:
     assert is_closed(mesh.vertex_m, mesh.triangle)
     corners = {tuple(corner) for corner in np.concatenate([outside, courtyard]).tolist()}
     assert corners <= {tuple(xy) for xy in mesh.vertex_m[:, :2].tolist()}
-    middle_m = shapely.get_coordinates(shapely.centroid(cells.tree.geometries))
-    exact = float((cells.area_m2 * height_over(plane, label, middle_m)).sum())
+    x, y = np.meshgrid(np.arange(0.05, 14, 0.1), np.arange(0.05, 11, 0.1))
+    place_m = np.column_stack([x.ravel(), y.ravel()])
+    cell = cells.cells_at(place_m)
+    exact = 0.01 * float(height_over(plane, label[cell], place_m)[cell >= 0].sum())
     assert volume_m3(mesh) == pytest.approx(exact, rel=2e-3)
 
 
