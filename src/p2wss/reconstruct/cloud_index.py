@@ -108,8 +108,8 @@ class CloudIndex(Closeable):
         self._scratch.append(records.view(np.uint8).data)
 
     def near(self, boxes: np.ndarray, adds_classes: bool = True) -> Cloud:
-        """The points in all cells that boxes (n, 4) touch, in the order in which they were added, with classes unless
-        ``adds_classes`` is false.
+        """The points in all cells that boxes (n, 4) touch, cell by cell in the order in which they were added, with
+        classes unless ``adds_classes`` is false.
 
         Points of a square of two by two cells get classes if no point of class ground, or none of class building, is
         in the four by four cells around its centre. boxes: within those of the index.
@@ -121,14 +121,14 @@ class CloudIndex(Closeable):
         has_all = self._has(square, GROUND_CLASS) & self._has(square, BUILDING_CLASS)
         if has_all.all() or not (adds_classes and self._adds_classes):
             return cloud
-        classes = cloud.classification.copy()
+        classes, order = cloud.classification.copy(), np.argsort(number)
         for k in square[~has_all].tolist():
             around, number_around = self._read(self._around[k])
             around, _ = with_classes(around)
             key = _key(np.floor(around.y_m / CELL_M), np.floor(around.x_m / CELL_M))
             inside = _square(key) == self._square[k]
-            place = _positions(number, number_around[inside])
-            classes[place[place >= 0]] = around.classification[inside][place >= 0]
+            place = _positions(number[order], number_around[inside])
+            classes[order[place[place >= 0]]] = around.classification[inside][place >= 0]
         return replace(cloud, classification=classes)
 
     def count(self, boxes: np.ndarray) -> int:
@@ -154,20 +154,18 @@ class CloudIndex(Closeable):
         return ((self._count[_COUNTED.index(classification)][around] > 0) & (around >= 0)).any(axis=1)
 
     def _read(self, cells: np.ndarray) -> tuple[Cloud, np.ndarray]:
-        """The points of cells and their numbers, in the order in which they were added."""
+        """The points of cells and their numbers, cell by cell in the order in which they were added."""
         of_run = np.concatenate([np.zeros(0, np.int64), *self._cell])
-        runs = np.concatenate([np.zeros((0, 2), np.int64), *self._runs])[np.isin(of_run, cells)]
-        # runs that follow each other are read together
-        first = np.flatnonzero(np.append(True, runs[1:, 0] != runs[:-1, 1])[: len(runs)])
-        ends = runs[np.append(first[1:], len(runs))[: len(first)] - 1, 1]
-        records = np.empty(int((runs[:, 1] - runs[:, 0]).sum()), _RECORD)
-        place = np.concatenate([[0], np.cumsum(ends - runs[first, 0])]).tolist()
-        for start, (low, high) in zip(runs[first, 0].tolist(), pairwise(place), strict=True):
-            content = self._scratch.read(start * BYTES_PER_POINT, (high - low) * BYTES_PER_POINT)
+        row = np.flatnonzero(np.isin(of_run, cells))
+        row = row[np.argsort(of_run[row], kind="stable")]
+        runs = np.concatenate([np.zeros((0, 2), np.int64), *self._runs])[row]
+        records = np.empty(int(np.diff(runs).sum()), _RECORD)
+        place = np.cumsum(np.append(0, np.diff(runs))).tolist()
+        for (start, end), (low, high) in zip(runs.tolist(), pairwise(place), strict=True):
+            content = self._scratch.read(start * BYTES_PER_POINT, (end - start) * BYTES_PER_POINT)
             records[low:high] = np.frombuffer(content, _RECORD)
-        order = np.argsort(records["number"], kind="stable")
-        columns = {name: records[name][order] for name in _COLUMNS}
-        return Cloud(**columns, crs=self.crs), records["number"][order]
+        columns = {name: np.ascontiguousarray(records[name]) for name in _COLUMNS}
+        return Cloud(**columns, crs=self.crs), records["number"]
 
 
 def _key(row: np.ndarray, column: np.ndarray) -> np.ndarray:

@@ -77,8 +77,8 @@ def lines_of(
     meets, steps = [], []
     for (i, j), sides in _borders(label, point_m, settings.near_m).items():
         border = np.concatenate(sides)
-        gap_m = np.abs(np.diff(heights(plane[[i, j]], border), axis=1)[:, 0])
         slope = plane[i] - plane[j]
+        gap_m = np.abs(border @ slope[:2] + slope[2])
         fold = np.hypot(slope[0], slope[1])
         if fold > _PARALLEL:
             meet = Line(slope[:2] / fold, -slope[2] / fold)
@@ -175,7 +175,7 @@ def _extent(xy_m: np.ndarray, other_m: np.ndarray, angle: float, settings: Drawi
     margin_m = (place[-1] - place[0]) / len(place) ** 0.5 / 2
     low, high = place[[round(share * (len(place) - 1)) for share in (0.01, 0.99)]]
     # the direction of the first axis is the second axis, that of the second is against the first
-    (start, left), (end, right) = place[[0, -1]] + np.outer([-1, 1], [settings.reach_m] * 2)
+    (start, left), (end, right) = place[0] - settings.reach_m, place[-1] + settings.reach_m
     both = np.concatenate([place, other[((other >= low) & (other <= high)).all(axis=1)]])
     order = np.argsort(both, axis=0, kind="stable")
     # how many more of the plane than others are up to each of all places

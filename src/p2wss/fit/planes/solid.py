@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from statistics import fmean
 
 import numpy as np
 import shapely
@@ -202,7 +201,7 @@ class _Network:
             for level in levels:
                 for _, number in level:
                     self._number[place, number] = len(self._vertices)
-                self._vertices.append((*xy_m, fmean(height for height, _ in level)))
+                self._vertices.append((*xy_m, sum(height for height, _ in level) / len(level)))
 
     def mesh(self) -> Mesh | None:
         """The closed mesh, None if there is none."""
