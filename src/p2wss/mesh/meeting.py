@@ -33,14 +33,15 @@ def with_meeting_planes(
     place: np.ndarray,
     more: Collection[tuple[int, int]] = (),
     free: Collection[int] = (),
+    turns: bool = False,
 ) -> tuple[Mesh, np.ndarray]:
     """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
     planes of each vertex are from it, (v,), where they cannot).
 
     place: int (v,): vertices of one number become one point. more: (vertex, plane of ``mesh.planes``), further planes
-    through the places of vertices. Roofs may tilt, walls between roofs shift; floors and the walls on them stay, but
-    for those planes that are ``free`` to shift, too. Conditions are linear in the changes of the planes while vertices
-    stay; as they follow their planes, the least squares are solved a few times.
+    through the places of vertices. Roofs may tilt, walls between roofs shift and, with ``turns``, turn; floors and the
+    walls on them stay, but for those planes that are ``free`` to shift, too. Conditions are linear in the changes of
+    the planes while vertices stay; as they follow their planes, the least squares are solved a few times.
     """
     planes = mesh.planes
     num = len(planes.kind)
@@ -48,7 +49,7 @@ def with_meeting_planes(
     is_free = np.zeros(num, bool)
     is_free[[*free]] = True
     vertex_m = writable(mesh.vertex_m, np.float64)
-    row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free)
+    row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free, turns)
     first, at = np.arange(len(vertex_m)), vertex
     if more or (place != first).any():
         # any vertex of a place tells where its planes are, as they are linear
@@ -92,6 +93,7 @@ def _equations(
     kind: np.ndarray,
     normal: np.ndarray,
     is_free: np.ndarray,
+    turns: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(rows (p, 4), scales (p, 4, 3)) of the planes of a mesh.
 
@@ -118,9 +120,14 @@ def _equations(
             sums[p, a] += away_m[a] * away_m
     for p in range(num):
         row[p, :3] = normal[p]
-        # walls shift only, unless they stand on a floor
+        # walls shift only, unless they stand on a floor or may turn
         if kind[p] == _WALL and (is_free[p] or not stands[p]):
             scale[p, 3, 2] = 1 / np.sqrt(size[p])
+            x, y = -normal[p, 1], normal[p, 0]
+            long = x * x * sums[p, 0, 0] + 2 * x * y * sums[p, 0, 1] + y * y * sums[p, 1, 1]
+            if turns and not stands[p] and long > _EXACT_M:
+                x, y = x / np.sqrt(long), y / np.sqrt(long)
+                scale[p, 0, 0], scale[p, 1, 0], scale[p, 3, 0] = x, y, -x * base[p, 0] - y * base[p, 1]
         elif kind[p] != _WALL and kind[p] != _GROUND:
             (xx, xy, xz), (_, yy, yz) = sums[p]
             turn = np.arctan2(2 * xy, xx - yy) / 2

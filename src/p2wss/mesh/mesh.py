@@ -13,7 +13,7 @@ from p2wss.mesh import topology
 from p2wss.mesh.faces import Surface, surfaces_of
 from p2wss.mesh.planes import face_planes
 from p2wss.mesh.topology import NEXT
-from p2wss.skeleton.types import Meshes
+from p2wss.skeleton.types import FaceKind, Meshes
 
 if TYPE_CHECKING:
     import trimesh
@@ -181,13 +181,15 @@ class Planes:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Planes:
-        """The planes of a mesh; their normals are weighted by area, as that of a sliver alone is unreliable."""
+        """The planes of a mesh; their normals are weighted by area, as that of a sliver alone is unreliable, and
+        level for walls, which are upright."""
         number = mesh.number
         normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
-        twice_m2 = np.linalg.norm(normal, axis=1)
-        normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
+        normal[kind == FaceKind.WALL, 2] = 0.0
+        twice_m2 = np.linalg.norm(normal, axis=1)
+        normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         return cls(kind, normal, twice_m2 / 2)
 
     @property

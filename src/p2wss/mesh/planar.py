@@ -89,18 +89,21 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
 
 
 def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collection[int] = ()) -> Mesh | None:
-    """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`); None if no change of
-    centimetres does that."""
-    moved, apart_m = with_meeting_planes(mesh, place, free=free)
-    if moved is mesh:
-        return mesh if apart_m.max() <= _PLANAR_M else None
-    move_m = np.abs(moved.vertex_m - mesh.vertex_m)
-    # the walls on floors stay where they are not free
-    is_far = move_m.max() > max(_MAX_MOVE_M, max_move_m) or (
-        not free and move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
-    )
-    num_turned = [turned_over(each, mesh).sum() for each in (mesh, moved)]
-    return None if is_far or apart_m.max() > _PLANAR_M or num_turned[1] > num_turned[0] else moved
+    """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`), if possible without
+    turning walls; None if no change of centimetres does that."""
+    for turns in (False, True):
+        moved, apart_m = with_meeting_planes(mesh, place, free=free, turns=turns)
+        if apart_m.max() > _PLANAR_M:
+            continue
+        if moved is mesh:
+            return mesh
+        move_m = np.abs(moved.vertex_m - mesh.vertex_m)
+        # the walls on floors stay where they are not free
+        stays = bool(free) or not move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+        num_turned = [turned_over(each, mesh).sum() for each in (mesh, moved)]
+        if stays and move_m.max() <= max(_MAX_MOVE_M, max_move_m) and num_turned[1] <= num_turned[0]:
+            return moved
+    return None
 
 
 def _with_straight_walls(mesh: Mesh) -> Mesh:

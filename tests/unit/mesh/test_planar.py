@@ -185,6 +185,21 @@ def test_a_wall_between_roofs_moves_to_the_corner_beside_it_and_the_footprint_st
     assert exact.vertex_m[inner, 0] == pytest.approx(6.1, abs=1e-6)
 
 
+def test_a_wall_between_two_corners_turns_and_stays_upright() -> None:
+    """It may not shift, as it would leave the corner where it is."""
+    ring = np.array([[0, 0], [6, 0], [7, -3], [12, -3], [12, 8], [6.01, 8], [5, 11], [0, 11.0]])
+    step = Line(np.array([1.0, 0.0]), 6.0)
+    plane = np.array([[0, 0, 5.0], [0, 0, 8.0]])
+    cells = arrange([ring], [step])
+    mesh = solid_below(cells, (cells.middle_m[:, 0] > 6).astype(int), plane, ring)
+    exact = with_exact_faces(mesh)
+    assert mesh.edge_m.min() < 0.04 and exact.edge_m.min() > 2.5
+    assert exact.is_closed and furthest_m(exact) < 1e-6
+    assert np.abs(exact.planes.normal[exact.planes.is_wall, 2]).max() < 1e-9
+    walls = exact.doubled_m2[exact.kind == FaceKind.WALL]
+    assert np.abs(walls[:, 2]).max() < 1e-6 * np.abs(walls).max()
+
+
 def test_a_step_beside_a_ridge_goes_with_its_walls() -> None:
     mesh = bent_ridge(RING)
     exact = with_exact_faces(mesh)

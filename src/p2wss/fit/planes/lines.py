@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ _PARALLEL, _SLOPED = 0.06, 0.05
 # metres: a larger step between two planes is one
 _STEP_M = 0.25
 _MIN_BORDER = 3
+# metres: what is so near to a line is on it
+_ON_M = 1e-3
 
 
 class Line(NamedTuple):
@@ -102,7 +105,8 @@ def lines_of(
         is_own = label == number
         steps += _extent(point_m[is_own, :2], point_m[is_off[:, number] & ~is_own, :2], angle, settings)
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
-    return meets + snapped + [edge for edge, is_reflex in edges if is_reflex]
+    steps = snapped + [edge for edge, is_reflex in edges if is_reflex]
+    return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
 
 
 def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
@@ -211,3 +215,23 @@ def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) ->
             used.append(own)
             result[own] = step
     return list(result.values())
+
+
+def _through_corners(lines: Sequence[Line], corner_m: np.ndarray, near_m: float) -> list[Line]:
+    """The lines, those that pass by corners (n, 2) of the footprint as lines from one to the next: else, there would be
+    a wall as narrow as what is between."""
+    normal, offset_m = as_arrays(lines)
+    direction = np.column_stack([-normal[:, 1], normal[:, 0]])
+    off_m, place = np.abs(normal @ corner_m.T - offset_m[:, None]), direction @ corner_m.T
+    result = []
+    for line, off, at in zip(lines, off_m, place, strict=True):
+        near = np.flatnonzero((off < near_m) & (at > line.low_m) & (at < line.high_m))
+        if off[near].max(initial=0.0) < _ON_M:
+            result.append(line)
+            continue
+        on = corner_m[near[np.argsort(at[near])]]
+        first_m, last_m = (float(each @ line.normal) for each in on[[0, -1]])
+        result.append(line._replace(offset_m=first_m, high_m=at[near].min()))
+        result += [Line.through(*ends).along(np.array(ends), 0.0) for ends in pairwise(on)]
+        result.append(line._replace(offset_m=last_m, low_m=at[near].max()))
+    return result

@@ -264,6 +264,24 @@ def test_pieces_have_only_ends_in_common() -> None:
     assert shapely.touches(pieces[first], pieces[second]).all()
 
 
+def test_steps_go_through_the_corners_that_they_pass_by() -> None:
+    """Of two wings that stand a hair askew, between their inner corners, with 3 cm between the lines of their walls."""
+    ring = np.array([[0, 0], [6, 0], [6, -3], [12, -3], [12, 8], [6.03, 8], [6.03, 11], [0, 11.0]])
+    rng = np.random.default_rng(7)
+    xy_m = rng.uniform([0, -3], [12, 11], (2500, 2))
+    xy_m = xy_m[shapely.contains_xy(shapely.Polygon(ring), xy_m[:, 0], xy_m[:, 1])]
+    point_m = np.column_stack([xy_m, np.where(xy_m[:, 0] < 6.01, 5.0, 8.0)])
+    fit = fit_planes([ring], point_m, PLANES)
+    assert fit is not None and len(fit.plane) == 2
+    lines = lines_of([ring], fit.plane, (xy_m[:, 0] > 6.01).astype(int), point_m, [0.0], PLANES.drawing)
+    off_m = np.array([np.abs(ring @ line.normal - line.offset_m) for line in lines])
+    place_m = np.array([ring @ line.direction for line in lines])
+    low_m, high_m = np.array([(line.low_m, line.high_m) for line in lines]).T[..., None]
+    passes = (place_m > low_m + 0.01) & (place_m < high_m - 0.01) & (off_m < PLANES.drawing.corner_m)
+    assert off_m[passes].max() < 1e-3
+    assert fit.mesh.edge_m.min() > 2.5
+
+
 def test_cells_do_not_depend_on_the_order_of_lines() -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     lines = [Line(np.array([np.cos(a), np.sin(a)]), 6.0 + a) for a in (0.1, 0.5, 0.9, 1.3)]
