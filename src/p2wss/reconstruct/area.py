@@ -36,7 +36,7 @@ _AROUND_MARGIN_M = 16.0
 _BESIDE_M = 0.5
 # of a batch, without what is around it
 MAX_POINTS = 3_000_000
-MAX_FOOTPRINTS = 2_000
+MAX_FOOTPRINTS = 500
 
 
 class Area:
