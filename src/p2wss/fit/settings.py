@@ -127,8 +127,9 @@ class Detection(NamedTuple):
     # metres in plan between two points that show a slope, and the tangent of the steepest
     min_run_m: float = 0.5
     max_slope: float = 2.2
-    # tangent of the slope from which on a plane is no roof, but a wall, or through points along a line
-    steepest: float = 10.0
+    # tangent of the slope from which on a plane is no roof, but a wall, or through points along a line: that of 75
+    # degrees, the steepest roof of the paper
+    steepest: float = 3.73
     # metres: noise of a point; smaller residuals have full weight
     noise_m: float = NOISE_M
     # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further

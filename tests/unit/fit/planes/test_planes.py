@@ -144,6 +144,15 @@ def test_points_along_a_line_show_no_steep_roof() -> None:
     assert (found.label[:13] == -1).all() and (found.label[13:] == 0).all()
 
 
+@pytest.mark.parametrize(("angle_deg", "is_roof"), [(65.0, True), (72.0, True), (77.0, False), (82.0, False)])
+def test_what_is_steeper_than_the_roofs_of_the_paper_is_a_wall(angle_deg: float, is_roof: bool) -> None:
+    rng = np.random.default_rng(8)
+    x, z = rng.uniform(0, 10, 800), rng.uniform(1, 6, 800)
+    point_m = np.column_stack([x, z / np.tan(np.radians(angle_deg)) + rng.normal(0, 0.06, 800), z])
+    found = detect(point_m, 12.0, [0.0], PLANES.detection)
+    assert ((found.label >= 0).mean() > 0.5) == is_roof
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
