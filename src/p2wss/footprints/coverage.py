@@ -18,7 +18,7 @@ from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, previous_in_ring, without_repeats
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import Polygons, next_in_ring
+from p2wss.skeleton.types import Polygons, cross, next_in_ring
 
 # a vertex that is nearer to the line between its neighbours is within an edge
 _WITHIN_EDGE_M = 1e-6
@@ -194,7 +194,7 @@ class _Rings:
         here = xy_m[self.node]
         before, after = here[previous_in_ring(self.ring_offset)], here[next_in_ring(self.ring_offset)]
         u, v = here - before, after - here
-        offset_m = np.abs(_cross(u, v)) / np.hypot(*(after - before).T)
+        offset_m = np.abs(cross(u, v)) / np.hypot(*(after - before).T)
         return np.asarray((offset_m < most_m) & ((u * v).sum(axis=1) > 0))
 
     def straightened(self, xy_m: np.ndarray) -> np.ndarray:
@@ -326,7 +326,7 @@ class _Arcs:
         node, line = node[order], line[order]
         first = np.searchsorted(node, node)
         start_m, step = line_m[line, 0], (line_m[:, 1] - line_m[:, 0])[line]
-        turn, off = (_cross(each, step) for each in (step[first], start_m - start_m[first]))
+        turn, off = (cross(each, step) for each in (step[first], start_m - start_m[first]))
         row = np.flatnonzero(np.abs(turn) > _MIN_SINE * length_m[line] * length_m[line[first]])
         row = row[np.unique(node[row], return_index=True)[1]]
         place_m = start_m[first[row]] + (off[row] / turn[row])[:, None] * step[first[row]]
@@ -336,11 +336,6 @@ class _Arcs:
         result = xy_m.copy()
         result[node[row[moves]]] = place_m[moves]
         return result
-
-
-def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(n,) of vectors (n, 2)."""
-    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
 def _thinned(
@@ -361,9 +356,9 @@ def _thinned(
         u, v = xy_m[node[inner]] - xy_m[node[inner - 1]], xy_m[node[inner + 1]] - xy_m[node[inner]]
         u_m, v_m = np.hypot(*u.T), np.hypot(*v.T)
         chord_m = np.hypot(*(u + v).T)
-        cross, along = np.abs(_cross(u, v)), (u * v).sum(axis=1)
+        area_m2, along = np.abs(cross(u, v)), (u * v).sum(axis=1)
         is_spike = along <= -max_cosine * u_m * v_m
-        offset_m = cross / np.maximum(np.where(is_spike, np.maximum(u_m, v_m), chord_m), 1e-12)
+        offset_m = area_m2 / np.maximum(np.where(is_spike, np.maximum(u_m, v_m), chord_m), 1e-12)
         removable = is_spike | (np.minimum(u_m, v_m) < min_edge_m)
         removable |= (along >= max_cosine * u_m * v_m) | (offset_m < _MIN_OFFSET_M)
         inner, offset_m = inner[removable], offset_m[removable]

@@ -122,12 +122,13 @@ class CloudIndex(Closeable):
         if has_all.all() or not (adds_classes and self._adds_classes):
             return cloud
         classes, order = cloud.classification.copy(), np.argsort(number)
+        ascending = number[order]
         for k in square[~has_all].tolist():
             around, number_around = self._read(self._around[k])
             around, _ = with_classes(around)
             key = _key(np.floor(around.y_m / CELL_M), np.floor(around.x_m / CELL_M))
             inside = _square(key) == self._square[k]
-            place = _positions(number[order], number_around[inside])
+            place = _positions(ascending, number_around[inside])
             classes[order[place[place >= 0]]] = around.classification[inside][place >= 0]
         return replace(cloud, classification=classes)
 

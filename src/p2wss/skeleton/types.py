@@ -18,6 +18,11 @@ def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray
     return array if array.flags.carray else array.copy()
 
 
+def cross(one: FloatArray, other: FloatArray) -> FloatArray:
+    """The cross products of vectors in the plane, which are along the last axis."""
+    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+
+
 def next_in_ring(ring_offset: IntArray) -> IntArray:
     """For each vertex the index of the next vertex of its ring; no ring is empty."""
     following = np.arange(1, ring_offset[-1] + 1)

@@ -13,12 +13,12 @@ from p2wss.fit.planes.detection import heights
 from p2wss.fit.planes.lines import Line, as_arrays, edges_of, ends_of
 from p2wss.mesh.topology import reverses
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import writable
+from p2wss.skeleton.types import cross, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
 # how many pairs of a segment and a place are looked at together
-_TOGETHER = 1_000_000
+_TOGETHER = 200_000
 # the sine of the angle between segments that cross nowhere
 _PARALLEL = 1e-9
 
@@ -106,8 +106,8 @@ def _pieces(end: np.ndarray) -> np.ndarray:
     start, step = end[:, 0], end[:, 1] - end[:, 0]
     length = np.hypot(*step.T)[:, None]
     along, apart, found = step / length, start - start[:, None], []
-    turn = _cross(along[:, None], along)
-    share = _cross(apart, along) / np.where(np.abs(turn) < _PARALLEL, np.nan, turn * length)
+    turn = cross(along[:, None], along)
+    share = cross(apart, along) / np.where(np.abs(turn) < _PARALLEL, np.nan, turn * length)
     meets = (share >= 0) & (share <= 1)
     one, other = np.nonzero(np.triu(meets & meets.T))
     crossing = start[one] + share[one, other, None] * step[one]
@@ -119,7 +119,7 @@ def _pieces(end: np.ndarray) -> np.ndarray:
         from_start = place - start[some, None]
         at = (from_start @ along[some, :, None])[..., 0]
         is_at = (np.abs(at - length[some] / 2) <= length[some] / 2 + half[some]) & (
-            np.abs(_cross(from_start, along[some, None])) <= half[some]
+            np.abs(cross(from_start, along[some, None])) <= half[some]
         )
         segment, number = np.nonzero(is_at)
         order = np.lexsort((at[is_at], segment))
@@ -128,11 +128,6 @@ def _pieces(end: np.ndarray) -> np.ndarray:
         found.append(np.sort(link, axis=1) @ [len(place), 1])
     pairs = np.unique(np.concatenate(found))
     return place[np.column_stack(np.divmod(pairs, len(place)))]
-
-
-def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The cross products of vectors in the plane, the last axis."""
-    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
 @entry

@@ -13,6 +13,7 @@ from p2wss.fit.directions import edge_ends, turn_between
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.points import median
 from p2wss.fit.settings import Drawing
+from p2wss.skeleton.types import cross
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05
@@ -118,7 +119,7 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
         offset_m = (normal * ring).sum(axis=1).tolist()
         # the edge before each is at the same place of an array that begins with the last
         before = edge[np.arange(len(edge)) - 1]
-        is_reflex = (before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0] < 0).tolist()
+        is_reflex = (cross(before, edge) < 0).tolist()
         goes_on = [
             here or there for here, there in zip(is_reflex, is_reflex[1:] + is_reflex[:1], strict=True)
         ]
