@@ -130,6 +130,8 @@ class Detection(NamedTuple):
     # tangent of the slope from which on a plane is no roof, but a wall, or through points along a line: that of 75
     # degrees, the steepest roof of the paper
     steepest: float = 3.73
+    # turns in which points go to the best plane near them, and between which planes go to their points
+    num_turns: int = 3
     # metres: noise of a point; smaller residuals have full weight
     noise_m: float = NOISE_M
     # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further

@@ -60,8 +60,8 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
 
     Planes grow from the places where the points are most even. Where points are so few that the surface around one of
     them shows nothing, the largest plane that rises along a direction of the footprint is taken, again and again.
-    Points then go to the best of the planes around them, and two planes become one where a single plane is hardly
-    further from the points.
+    Points then go to the best of the planes around them and planes to their points, and two planes become one where a
+    single plane is hardly further from the points.
     """
     is_sparse = density < settings.sparse_per_m2
     count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
@@ -79,7 +79,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         order = np.argsort(rough_m, kind="stable")
         plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
     if len(plane):
-        label = _reassigned(point_m, plane, label, neighbour, settings.distance_m)
+        plane, label = _settled(point_m, plane, label, neighbour, settings)
         plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
     return RoofPlanes(plane, label)
 
@@ -269,20 +269,26 @@ def _largest(
 
 
 @entry
-def _reassigned(
-    point_m: np.ndarray, plane: np.ndarray, label: np.ndarray, neighbour: np.ndarray, distance_m: float
-) -> np.ndarray:
-    """The label (m,) of each point: the nearest of its plane and the planes of its neighbours."""
-    result = label.copy()
-    for row in range(len(label)):
-        number = label[row]
-        least_m = _distance(plane[number], point_m[row]) if number >= 0 else distance_m
-        for other in neighbour[row]:
-            if label[other] != number:
-                near_m = _distance(plane[label[other]], point_m[row]) if label[other] >= 0 else distance_m
-                if near_m < least_m:
-                    least_m, result[row] = near_m, label[other]
-    return result
+def _settled(
+    point_m: np.ndarray, plane: np.ndarray, label: np.ndarray, neighbour: np.ndarray, settings: Detection
+) -> tuple[np.ndarray, np.ndarray]:
+    """(planes, label) after each point has gone to the nearest of its plane and the planes of its neighbours, and each
+    plane to its points, in turns. The planes of two low slopes that grew over the ridge between them go apart so."""
+    plane = plane.copy()
+    for turn in range(settings.num_turns):
+        before, label = label, label.copy()
+        for row, number in enumerate(before):
+            least_m = _distance(plane[number], point_m[row]) if number >= 0 else settings.distance_m
+            for other in before[neighbour[row]]:
+                if other != number:
+                    near_m = _distance(plane[other], point_m[row]) if other >= 0 else settings.distance_m
+                    if near_m < least_m:
+                        least_m, label[row] = near_m, other
+        for number in range(len(plane) if turn < settings.num_turns - 1 else 0):
+            rows = np.flatnonzero(label == number)
+            if len(rows) > 2:
+                plane[number] = _fit(point_m, rows, len(rows), settings.noise_m)
+    return plane, label
 
 
 @entry

@@ -153,6 +153,18 @@ def test_what_is_steeper_than_the_roofs_of_the_paper_is_a_wall(angle_deg: float,
     assert ((found.label >= 0).mean() > 0.5) == is_roof
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_ridge_between_two_low_slopes_is_where_it_is(seed: int) -> None:
+    """Within 15 cm of the ridge a point is hardly nearer to its own slope, and the first planes have points of both."""
+    rng = np.random.default_rng(seed)
+    xy_m = rng.uniform([0, -11], [50, 11], (9000, 2))
+    fall = np.where(xy_m[:, 1] > 0, *np.tan(np.radians([2.9, -1.7]))) * xy_m[:, 1]
+    found = detect(np.column_stack([xy_m, 8 - fall + rng.normal(0, 0.03, 9000)]), 8.2, [0.0], PLANES.detection)
+    assert len(found.plane) == 2
+    a, b, c = found.plane[0] - found.plane[1]
+    assert abs((a * 25 + c) / b) < 0.12
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
