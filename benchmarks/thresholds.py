@@ -37,7 +37,6 @@ VARIATIONS: dict[str, tuple[float, ...]] = {
     "line_m3": (0.0, 0.08, 0.3),
     "meet_share": (0.25, 1.0),
     "small_step_share": (1.0, 3.0),
-    "shallow_share": (1.0, 2.0),
     "support_m": (0.2, 100.0),
 }
 

@@ -179,28 +179,25 @@ class PlanePrices(NamedTuple):
     # for each face; swept
     face_m3: float = 0.08
     # for each metre of an edge: a step above the limit below; swept
-    edge_m2: float = 0.15
+    edge_m2: float = 0.17
     # for each metre of an edge and each metre by which the distance between points exceeds the second figure; swept on
     # thinned clouds, where it leaves out false edges and costs distance: millimetres, but centimetres with ten points
     sparse_edge_m: float = 0.2
-    dense_gap_m: float = 0.5
+    dense_gap_m: float = 0.6
     # for each line that has steps, a share of it if that is less of them than the next figure, in metres: else, a tiny
     # face would save the price of a line. Lines with less than the last figure of steps are dispensed with where that
     # pays: along pieces of many lines, a border would be jagged; swept
     line_m3: float = 0.15
     whole_line_m: float = 0.3
-    short_line_m: float = 2.0
-    # shares of it: where two planes meet, where those of a known roof do (swept on thinned clouds), where they are
-    # nearly the same plane, and a small step
+    short_line_m: float = 3.0
+    # shares of the price of an edge: where two planes meet, where those of a known roof do (swept on thinned clouds), and
+    # a small step
     meet_share: float = 0.5
     known_share: float = 0.3
-    shallow_share: float = 1.5
     small_step_share: float = 2.0
     # metres: planes meet along an edge if no end of it has a larger step
     meet_m: float = 0.08
     small_step_m: float = 0.4
-    # tangent of the angle below which two planes are nearly the same
-    shallow: float = 0.09
     # metres: larger residuals count as this
     cap_m: float = 1.0
     # metres by which a roof may rise above its points, or fall below all of them

@@ -90,8 +90,7 @@ def costs_of(
     pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
     end_z = np.stack([heights(plane, end_m[:, end]) for end in (0, 1)])
     length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
-    fold = np.linalg.norm(plane[:, None, :2] - plane[None, :, :2], axis=2)
-    meeting = np.where(fold < prices.shallow, prices.shallow_share, prices.meet_share)
+    meeting = np.full((num_planes, num_planes), prices.meet_share)
     meeting[num_planes - num_known :, num_planes - num_known :] = prices.known_share
     side_m3, is_step = _at_sides(end_z, length_m, meeting, prices)
     return Costs(cell_m3, pair, side_m3, is_step, cells.line[is_shared], length_m, prices)
