@@ -190,8 +190,8 @@ class PlanePrices(NamedTuple):
     line_m3: float = 0.15
     whole_line_m: float = 0.3
     short_line_m: float = 3.0
-    # shares of the price of an edge: where two planes meet, where those of a known roof do (swept on thinned clouds), and
-    # a small step
+    # shares of the price of an edge: where two planes meet, where those of a known roof do (swept on thinned clouds), a
+    # small step
     meet_share: float = 0.5
     known_share: float = 0.3
     small_step_share: float = 2.0

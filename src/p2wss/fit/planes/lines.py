@@ -9,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import edge_ends, turn_between
+from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.points import median
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.types import cross
 
@@ -76,13 +75,10 @@ def lines_of(
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
     edges = edges_of(rings)
-    own = np.arctan2(plane[:, 1], plane[:, 0])
-    is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     meets, steps = [], []
     for (i, j), sides in _borders(label, point_m, settings.near_m).items():
         border = np.concatenate(sides)
         slope = plane[i] - plane[j]
-        gap_m = np.abs(border @ slope[:2] + slope[2])
         fold = np.hypot(slope[0], slope[1])
         if fold > _PARALLEL:
             meet = Line(slope[:2] / fold, -slope[2] / fold)
@@ -90,19 +86,13 @@ def lines_of(
             near = off_m < settings.off_m
             if near.sum() >= _MIN_BORDER:
                 meets.append(meet.along(border[near], settings.reach_m))
-            if median(gap_m) < _STEP_M and near.mean() > 0.7:
-                continue
             sides = [side[np.abs(side @ meet.normal - meet.offset_m) > settings.off_m] for side in sides]
         if min(map(len, sides)) >= _MIN_BORDER:
-            tried = list(along)
-            for number in (i, j):
-                if is_sloped[number] and all(
-                    abs(turn_between(own[number], each)) > np.radians(settings.same_deg) for each in tried
-                ):
-                    tried.append(own[number])
-            steps += _steps(sides, tried, settings)
+            steps += _steps(sides, along, settings)
     is_off = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]) > _STEP_M
-    for number, angle in enumerate(np.where(is_sloped, own, along[0]).tolist()):
+    is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
+    own = np.where(is_sloped, np.arctan2(plane[:, 1], plane[:, 0]), along[0])
+    for number, angle in enumerate(own.tolist()):
         is_own = label == number
         steps += _extent(point_m[is_own, :2], point_m[is_off[:, number] & ~is_own, :2], angle, settings)
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)

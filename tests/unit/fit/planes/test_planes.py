@@ -159,7 +159,9 @@ def test_the_ridge_between_two_low_slopes_is_where_it_is(seed: int) -> None:
     rng = np.random.default_rng(seed)
     xy_m = rng.uniform([0, -11], [50, 11], (9000, 2))
     fall = np.where(xy_m[:, 1] > 0, *np.tan(np.radians([2.9, -1.7]))) * xy_m[:, 1]
-    found = detect(np.column_stack([xy_m, 8 - fall + rng.normal(0, 0.03, 9000)]), 8.2, [0.0], PLANES.detection)
+    found = detect(
+        np.column_stack([xy_m, 8 - fall + rng.normal(0, 0.03, 9000)]), 8.2, [0.0], PLANES.detection
+    )
     assert len(found.plane) == 2
     a, b, c = found.plane[0] - found.plane[1]
     assert abs((a * 25 + c) / b) < 0.12
