@@ -34,7 +34,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are divided
     anew.
     """
-    straight = _with_straight_walls(mesh)
+    straight = _flipped(_with_straight_walls(mesh))
     each = np.arange(len(mesh.vertex_m))
     result: Mesh | None = _met(straight, each) or straight
     while result is not None:
@@ -57,7 +57,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
                 result = _merged(moved, end, gone)
             if result is not None and _is_thin(result).sum() > _is_thin(mesh).sum():
                 # the other end of a step that went, or a vertex that a wall now passes through
-                result = with_exact_faces(_flipped(result), _NO_HEIGHT_M, walls_stay)
+                result = with_exact_faces(result, _NO_HEIGHT_M, walls_stay)
                 result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
             if result is not None and (result.is_closed or not mesh.is_closed):
                 break

@@ -250,3 +250,19 @@ def test_a_thin_wall_across_a_roof_leaves_the_mesh_closed() -> None:
     x = cells.middle_m[:, 0]
     mesh = solid_below(cells, (x > 6).astype(int) + (x > 6.15), plane, RING)
     assert mesh is not None and with_exact_faces(mesh, 0.2).is_closed
+
+
+def test_a_triangle_without_area_gives_its_corner_to_the_face_across() -> None:
+    """The roof on one side of a ridge has a vertex within it that the roof on the other side has not."""
+    mesh = hip()
+    at_ridge = (mesh.vertex_m[mesh.triangle, 2] > 5.1).sum(axis=1) == 2
+    t = int(at_ridge.argmax())
+    start, end, apex = np.roll(mesh.triangle[t], -int(mesh.edge_m[t].argmin()))
+    middle = len(mesh.vertex_m)
+    triangle = np.vstack([mesh.triangle, [[start, middle, apex], [middle, end, apex]]])
+    triangle[t] = start, end, middle
+    like = np.append(np.arange(len(mesh.triangle)), [t, t])
+    vertex_m = np.vstack([mesh.vertex_m, mesh.vertex_m[[start, end]].mean(axis=0)])
+    exact = with_exact_faces(Mesh(vertex_m, triangle.astype(np.int32), mesh.kind[like], mesh.label[like]))
+    assert at_ridge.sum() == 2 and exact.is_closed
+    assert exact.area_m2.min() > 1.0 and len(exact.triangle) == len(mesh.triangle) + 2
