@@ -113,7 +113,7 @@ class Detection(NamedTuple):
     min_area_m2: float = 1.0
     min_points: int = 8
     # per square metre: fewer points are sparse, and the surface around one of them shows nothing
-    sparse_per_m2: float = 2.0
+    sparse_per_m2: float = 3.0
     num_sparse_neighbours: int = 8
     # so few of them show a level roof, so many a slope; of at most so many points in all, of which so many are on a
     # square metre, each one shows a level roof; swept on thinned clouds
