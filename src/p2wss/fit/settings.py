@@ -234,6 +234,8 @@ class Thresholds:
     planes: Planes = field(default_factory=Planes)
     # points on a roof and on those around it: with fewer, the parametric model knows more than planes in them show
     min_plane_points: int = 5
+    # per square metre of footprint: with fewer points, the search for planes begins with the parametric model
+    known_per_m2: float = 2.0
     # metres: shorter edges of the mesh are removed, if no vertex moves further
     short_edge_m: float = 0.2
     # multiples of the prices of planes, by `reconstruct.detail`
