@@ -101,6 +101,8 @@ class Chimneys:
 class Detection(NamedTuple):
     """Which points make a plane (`planes/detection.py`)."""
 
+    # per square metre: of more points, an even sample shows the same
+    max_per_m2: float = 50.0
     # points nearest to each, which show the direction of the surface there
     num_neighbours: int = 12
     # metres: points of a plane lie this near to it

@@ -16,7 +16,7 @@ from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import OUTSIDE, at_pinch, solid_below
-from p2wss.fit.points import even_order
+from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 from p2wss.skeleton.groups import groups
@@ -89,9 +89,10 @@ def fit_planes(
     closed and in one piece. around_m: (k, 3), points on other roofs, which may have planes and lines in common with
     this one, as those of a row have. known: a roof with which the search begins, and whose planes and lines this one
     may have."""
-    order = even_order(point_m)
+    area_m2, order = shapely.Polygon(rings[0], rings[1:]).area, even_order(point_m)
+    order = order[every_kth(len(order), int(settings.detection.max_per_m2 * area_m2) + 1)]
     point_m, is_open = point_m[order], order >= len(point_m) - num_open
-    density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
+    density = len(point_m) / area_m2
     if around_m is not None:
         point_m = np.vstack([point_m, around_m])
         is_open = np.append(is_open, np.zeros(len(around_m), bool))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
 from p2wss.fit.planes.arrangement import GRID_M, _pieces, arrange
-from p2wss.fit.planes.detection import _merged, detect, height_over, heights
+from p2wss.fit.planes.detection import RoofPlanes, _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import Line, edges_of, ends_of, lines_of
@@ -652,6 +653,20 @@ def test_scattered_points_show_no_plane() -> None:
     rings, _ = gable(12, 8, 4, 0.0)
     scattered_m = np.random.default_rng(3).uniform([-6, -4, 0], [6, 4, 99], (300, 3))
     assert fit_planes(rings, scattered_m, PLANES) is None
+
+
+def test_of_very_many_points_an_even_sample_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    rings, plane = gable(12, 8, 4, 0.3)
+    point_m, num_points = sampled(rings, plane, 4, density=200.0), []
+
+    def counted(some_m: np.ndarray, *others: Any) -> RoofPlanes:
+        num_points.append(len(some_m))
+        return detect(some_m, *others)
+
+    monkeypatch.setattr("p2wss.fit.planes.fit.detect", counted)
+    fit = fit_planes(rings, point_m, PLANES)
+    assert fit is not None and residuals_m(fit, point_m).mean() < 0.03
+    assert num_points == [int(PLANES.detection.max_per_m2 * 96) + 1] and len(point_m) > 19_000
 
 
 def test_a_fit_does_not_depend_on_the_order_of_points() -> None:
