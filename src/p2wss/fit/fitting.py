@@ -146,8 +146,8 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     settings = thresholds.planes.times(thresholds.detail[config.detail])
     # few points hardly show how roofs meet; the paper's building says how they usually do
     area_m2 = shapely.Polygon(prepared.rings[0], prepared.rings[1:]).area
-    is_sparse = len(point_m) < thresholds.known_per_m2 * area_m2
-    known = raise_parametric(task, prepared) if is_sparse else None
+    has_few = len(point_m) < thresholds.known_per_m2 * area_m2
+    known = raise_parametric(task, prepared) if has_few else None
     planes = fit_planes(
         prepared.rings,
         raised_m,
