@@ -102,7 +102,6 @@ def stages(fetched: Path, out: Path, environment: dict[str, str]) -> dict[str, b
     return contents(out)
 
 
-@pytest.mark.slow
 def test_every_stage_is_the_same_to_the_byte_with_other_instructions(fetched: Path, tmp_path: Path) -> None:
     first = stages(fetched, tmp_path / "first", {})
     assert len(first) == 10

@@ -1,7 +1,12 @@
-"""Directions in a plan, where those that differ by right angles are the same."""
+"""Directions in a plan, where those that differ by right angles are the same.
+
+Angles are computed by ``math``: the last bit of numpy's ``arctan2``, ``arctan`` and ``tan`` depends on the instructions
+of the processor.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,11 +27,22 @@ def edge_ends(rings: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack([np.concatenate(list(rings)), after], axis=1)
 
 
+def bearings(vectors: np.ndarray) -> np.ndarray:
+    """Angles of vectors (..., 2) from the first axis, radians."""
+    angle = [math.atan2(y, x) for x, y in vectors.reshape(-1, 2).tolist()]
+    return np.reshape(angle, vectors.shape[:-1])
+
+
+def slope_angles(rise: np.ndarray) -> np.ndarray:
+    """Degrees of slopes that rise by so much per metre."""
+    return np.degrees(bearings(np.stack([np.ones(rise.shape), rise], axis=-1)))
+
+
 def directions(rings: Sequence[np.ndarray], same_deg: float) -> list[float]:
     """Directions of the edges of a footprint, radians modulo a quarter, the longest in sum first."""
     edge = np.diff(edge_ends(rings), axis=1)[:, 0]
     length = np.hypot(edge[:, 0], edge[:, 1])
-    angle = np.arctan2(edge[:, 1], edge[:, 0]) % (np.pi / 2)
+    angle = bearings(edge) % (np.pi / 2)
     found = []
     while len(length):
         turn = turn_between(angle, angle[length.argmax()])

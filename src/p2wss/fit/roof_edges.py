@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -144,7 +145,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
         num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
         inner_length_m = np.hypot(*(end - start)) - 2 * _AT_CORNER_M
-        gap_m = np.log(2) * (_FAR_M - _NEAR_M) * inner_length_m / max(num_behind, 1)
+        gap_m = math.log(2) * (_FAR_M - _NEAR_M) * inner_length_m / max(num_behind, 1)
         reach_m = min(float(gap_m - median(begins_m)), RULES.beyond_m)
         outer_m = -reach_m - RULES.near_edge_m
         num_ground, num_building = (

@@ -8,6 +8,7 @@ the points on roofs from those on the ground.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,7 +96,7 @@ def directions(trace: shapely.Polygon, roof_m: np.ndarray, cell_m: float) -> lis
     around = shapely.minimum_rotated_rectangle(shapely.MultiPoint(own_m))
     if trace.area >= RULES.rectangle_share * around.area > 0:
         east_m, north_m = np.diff(shapely.get_coordinates(around)[:2], axis=0)[0]
-        return [float(np.degrees(np.arctan2(north_m, east_m)))]
+        return [math.degrees(math.atan2(north_m, east_m))]
     lines = [
         line for ring in _rings(trace) for line in _lines(_simple(ring, cell_m), np.asarray(ring.coords), [])
     ]
@@ -209,7 +210,7 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
     for index, (start, end) in enumerate(itertools.pairwise(simple_m)):
         vector = end - start
         length = float(np.hypot(*vector))
-        angle = float(np.arctan2(vector[1], vector[0]))
+        angle = math.atan2(vector[1], vector[0])
         first, last = vertex[index], vertex[index + 1]
         members = (
             np.arange(first, last)
@@ -235,7 +236,7 @@ def _angle_of_points(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> floa
         return angle
     local = xy_m - np.average(xy_m, axis=0, weights=weight)
     xx, yy, xy = (local[:, [0, 1, 0]] * local[:, [0, 1, 1]]).T @ weight
-    axis = 0.5 * np.arctan2(2 * xy, xx - yy)
+    axis = 0.5 * math.atan2(2 * xy, xx - yy)
     turn = (axis - angle + np.pi / 2) % np.pi - np.pi / 2
     return float(angle + turn) if abs(turn) < np.radians(RULES.max_turn_deg) else angle
 

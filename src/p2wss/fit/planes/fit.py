@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import directions, edge_ends
+from p2wss.fit.directions import directions, edge_ends, slope_angles
 from p2wss.fit.planes.arrangement import Arrangement, arrange
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.known import known_lines, known_planes
@@ -64,7 +64,7 @@ class PlanesFit:
         steep = np.hypot(slope[:, 0], slope[:, 1])
         rises = (slope * inwards).sum(axis=1) > steep * np.sqrt(0.5)
         is_level = steep < _LEVEL
-        angle_deg = np.where(is_level, 0.0, np.where(rises, np.degrees(np.arctan(steep)), 90.0))
+        angle_deg = np.where(is_level, 0.0, np.where(rises, slope_angles(steep), 90.0))
         over_cell_m = height_over(self.plane, self.label, self.cells.middle_m)
         is_high = over_cell_m > _LOW_M
         weight = self.cells.area_m2 * (is_high | (not is_high.any()))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import edge_ends
+from p2wss.fit.directions import bearings, edge_ends
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.types import cross
@@ -91,7 +91,7 @@ def lines_of(
             steps += _steps(sides, along, settings)
     is_off = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]) > _STEP_M
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
-    own = np.where(is_sloped, np.arctan2(plane[:, 1], plane[:, 0]), along[0])
+    own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
     for number, angle in enumerate(own.tolist()):
         is_own = label == number
         steps += _extent(point_m[is_own, :2], point_m[is_off[:, number] & ~is_own, :2], angle, settings)
@@ -220,7 +220,7 @@ def _through_corners(lines: Sequence[Line], corner_m: np.ndarray, near_m: float)
         if off[near].max(initial=0.0) < _ON_M:
             result.append(line)
             continue
-        on = corner_m[near[np.argsort(at[near])]]
+        on = corner_m[near[np.argsort(at[near], kind="stable")]]
         first_m, last_m = (float(each @ line.normal) for each in on[[0, -1]])
         result.append(line._replace(offset_m=first_m, high_m=at[near].min()))
         result += [Line.through(*ends).along(np.array(ends), 0.0) for ends in pairwise(on)]

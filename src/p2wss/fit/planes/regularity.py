@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from p2wss.fit.directions import turn_between
+from p2wss.fit.directions import bearings, turn_between
 from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance
 from p2wss.fit.points import median
 from p2wss.fit.settings import Detection
@@ -34,7 +34,7 @@ def regular(
         if np.hypot(*plane[:2]) < _NEARLY_LEVEL and mean_m(level, i) < most_m:
             result[i] = level
             continue
-        bearing = np.arctan2(plane[1], plane[0])
+        bearing = bearings(plane[:2])
         turn = min((turn_between(bearing, angle) for angle in along), key=abs)
         if abs(turn) < _NEARLY_ALONG:
             turned = _along(own, bearing - turn, settings.noise_m)

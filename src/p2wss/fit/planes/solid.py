@@ -6,6 +6,7 @@ of different faces are one only where the planes meet.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -238,8 +239,8 @@ class _Network:
     def _turn(self, before: int, place: int, after: int) -> float:
         """The angle from the way back to the way on, clockwise."""
         back, on = self._xy_m[before] - self._xy_m[place], self._xy_m[after] - self._xy_m[place]
-        turn = np.arctan2(back[1], back[0]) - np.arctan2(on[1], on[0])
-        return float((turn - 1e-12) % (2 * np.pi))
+        turn = math.atan2(back[1], back[0]) - math.atan2(on[1], on[0])
+        return (turn - 1e-12) % (2 * math.pi)
 
     def _triangles(self, rings: Sequence[tuple[int, list[int]]]) -> np.ndarray:
         """Vertices (t, 3) of the triangles of all connected faces, seen from outside: of roofs, then of floors."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from p2wss.fit.directions import edge_ends, turn_between
+from p2wss.fit.directions import bearings, edge_ends, turn_between
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof.prior import Prior
 from p2wss.fit.roof.solve import Problem, Roofs, evaluate, improved
@@ -89,7 +90,7 @@ def edge_groups(rings: Sequence[np.ndarray], same_deg: float = 12.0) -> tuple[np
     """(direction (n,), axis (n,)) of the edges: numbers that are the same where edges face the same way, and where they
     are parallel; 0 is that of the greatest total length."""
     edge = np.diff(edge_ends(rings), axis=1)[:, 0]
-    bearing_deg = np.degrees(np.arctan2(edge[:, 1], edge[:, 0]))
+    bearing_deg = np.degrees(bearings(edge))
     # lengths are compared in whole millimetres, so that rounding errors decide nothing
     length_mm = np.rint(1000.0 * np.hypot(*edge.T))
     groups = []
@@ -176,7 +177,9 @@ def _tidied(problem: Problem, roof: Roofs) -> Roofs:
         )
         if is_steep.any():
             on = np.isin(roof.edge[0], np.flatnonzero(is_steep))
-            depth_m = np.max(roof.rise_m[0, on], initial=0.0) / np.tan(np.radians(angle_deg[is_steep].max()))
+            depth_m = np.max(roof.rise_m[0, on], initial=0.0) / math.tan(
+                math.radians(angle_deg[is_steep].max())
+            )
             gables = evaluate(problem, np.where(is_steep, 90.0, roof.angle_deg), roof.eave_z_m)
             gables = improved(problem, gables, settings.num_trial_rounds)
             most_m = settings.wall_hits_m if depth_m < settings.min_slope_width_m else settings.rounding_m
