@@ -80,9 +80,8 @@ def find_chimneys(mesh: Mesh, point_m: np.ndarray, chimneys: Chimneys) -> list[C
 
 def _walls(mesh: Mesh) -> shapely.MultiLineString:
     """The walls of a mesh in plan."""
-    ring = mesh.corner_m[mesh.kind == FaceKind.WALL, :, :2]
-    sides = np.stack([ring, np.roll(ring, -1, axis=1)], axis=2).reshape(-1, 2, 2)
-    return shapely.MultiLineString(list(sides))
+    sides = mesh.corner_m[mesh.kind == FaceKind.WALL][:, [[0, 1], [1, 2], [2, 0]], :2]
+    return shapely.MultiLineString(list(sides.reshape(-1, 2, 2)))
 
 
 def _clusters(point_m: np.ndarray, above_m: np.ndarray, chimneys: Chimneys) -> list[np.ndarray]:
