@@ -23,9 +23,9 @@ from p2wss.towns import FOOTPRINTS, LIDAR
 
 # buildings and the directions of their sections, degrees
 CASES = {
-    "BATIMENT0000002000014382": ("half a gable in a shadow", -9),
     "BATIMENT0000002000011152": ("pits that no pulse reached", 10),
-    "BATIMENT0000002000010863": ("eaves over a house below a tree", 80),
+    "BATIMENT0000002000002363": ("levels in the shadow of higher houses", 80),
+    "BATIMENT0000002000005049": ("narrow ones among many levels", -10),
 }
 COLOURS = {2: "saddlebrown", 5: "green", 6: "crimson"}
 CELL_M, HALF_M = 0.1, 0.6
