@@ -12,7 +12,7 @@ import shapely
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.fit.points import median
 from p2wss.skeleton import ordering
-from p2wss.skeleton.compiled import both, entry
+from p2wss.skeleton.compiled import ZERO, both, entry
 
 
 class Rules(NamedTuple):
@@ -204,7 +204,7 @@ def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: 
     begins_m, num_begins = np.empty(num_bins), 0
     near_z, next_z = np.empty(len(row)), np.empty(len(row))
     for number in range(num_bins):
-        num_near = num_next = 0
+        num_near = num_next = ZERO
         here = np.flatnonzero(np.minimum((share * num_bins).astype(np.int64), num_bins - 1) == number)
         for k in here:
             if _NEAR_M < depth[k] <= _NEAR_M + 1.0:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.fit.settings import Detection
-from p2wss.skeleton.compiled import both, entry, inner
+from p2wss.skeleton.compiled import ZERO, both, entry, inner
 from p2wss.skeleton.nearest import nearest
 
 
@@ -183,14 +183,14 @@ def _grown(
     for seed in order:
         if label[seed] >= 0 or normal[seed, 2] < 0.3:
             continue
-        count = 0
+        count = ZERO
         for other in neighbour[seed]:
             if label[other] < 0:
                 rows[count], count = other, count + 1
         if count < neighbour.shape[1] // 2:
             continue
         current = _fit(point_m, rows, count, settings.noise_m)
-        rows[0], count, seen[seed], reached, next_fit = seed, 1, seed, 0, min_points
+        rows[0], count, seen[seed], reached, next_fit = seed, ZERO + 1, seed, 0, min_points
         while reached < count:
             row, reached = rows[reached], reached + 1
             length = np.sqrt(1 + current[0] ** 2 + current[1] ** 2)
@@ -205,7 +205,7 @@ def _grown(
                 current, next_fit = _fit(point_m, rows, count, settings.noise_m), count + count // 2
         if count < min_points:
             continue
-        current, near = _fit(point_m, rows, count, settings.noise_m), 0
+        current, near = _fit(point_m, rows, count, settings.noise_m), ZERO
         for t in range(count):
             if _distance(current, point_m[rows[t]]) < settings.distance_m:
                 rows[near], near = rows[t], near + 1
@@ -231,7 +231,7 @@ def _largest(
     while True:
         free = np.flatnonzero(label < 0)
         num_seeds = max(1, min(settings.num_seeds, settings.max_seed_points // num))
-        best_score, best_count = 0.0, 0
+        best_score, best_count = 0.0, ZERO
         for seed in free[:: len(free) // num_seeds + 1]:
             for t in range(num_near * len(axis)):
                 other, along = neighbour[seed, t // len(axis)], axis[t % len(axis)]
