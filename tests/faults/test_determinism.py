@@ -95,16 +95,15 @@ def stages(fetched: Path, out: Path, environment: dict[str, str]) -> dict[str, b
     inputs = ["--scene", scene, "--dtm", terrain, "--buildings", buildings]
     outputs = ["--out", scan, "--out-survey", out / "survey.json", "--picture", out / "scan.png"]
     p2wss(["scans", *inputs, *outputs, "--config", config], environment)
-    formats = ["--format", "cityjsonseq,glb,gpkg"]
-    p2wss(
-        ["reconstruct", fetched / "lidar.laz", footprints, out, "--tile", LIDAR_TILE, *formats], environment
-    )
+    files = [fetched / "lidar.laz", footprints, out]
+    more = ["--skin", "--wedges", "--vegetation", "--format", "cityjsonseq,glb,gpkg"]
+    p2wss(["reconstruct", *files, "--tile", LIDAR_TILE, *more], environment)
     return contents(out)
 
 
 def test_every_stage_is_the_same_to_the_byte_with_other_instructions(fetched: Path, tmp_path: Path) -> None:
     first = stages(fetched, tmp_path / "first", {})
-    assert len(first) == 10
+    assert len(first) == 11
     different = {
         name: [
             file for file, content in stages(fetched, tmp_path / name, set_).items() if content != first[file]

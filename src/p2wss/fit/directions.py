@@ -1,15 +1,12 @@
-"""Directions in a plan, where those that differ by right angles are the same.
-
-Angles are computed by ``math``: the last bit of numpy's ``arctan2``, ``arctan`` and ``tan`` depends on the instructions
-of the processor.
-"""
+"""Directions in a plan, where those that differ by right angles are the same."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
+
+from p2wss.skeleton.angles import bearings
 
 
 def turn_between(
@@ -25,17 +22,6 @@ def edge_ends(rings: Sequence[np.ndarray]) -> np.ndarray:
     # numpy's ``roll`` takes ten times as long for a few vertices
     after = np.concatenate([part for ring in rings for part in (ring[1:], ring[:1])])
     return np.stack([np.concatenate(list(rings)), after], axis=1)
-
-
-def bearings(vectors: np.ndarray) -> np.ndarray:
-    """Angles of vectors (..., 2) from the first axis, radians."""
-    angle = [math.atan2(y, x) for x, y in vectors.reshape(-1, 2).tolist()]
-    return np.reshape(angle, vectors.shape[:-1])
-
-
-def slope_angles(rise: np.ndarray) -> np.ndarray:
-    """Degrees of slopes that rise by so much per metre."""
-    return np.degrees(bearings(np.stack([np.ones(rise.shape), rise], axis=-1)))
 
 
 def directions(rings: Sequence[np.ndarray], same_deg: float) -> list[float]:

@@ -11,6 +11,7 @@ import shapely
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT
+from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.types import FaceKind
 
@@ -57,7 +58,7 @@ def measure(mesh: Mesh) -> MeshMeasures:
     # of a face, not of its triangles, among which may be slivers
     total = np.zeros((int(face.max()) + 1, 3))
     np.add.at(total, face, mesh.doubled_m2)
-    slope_deg = np.degrees(np.arctan2(np.hypot(total[:, 0], total[:, 1]), total[:, 2]))[face]
+    slope_deg = np.degrees(bearings(np.column_stack([total[:, 2], np.hypot(total[:, 0], total[:, 1])])))[face]
     is_sloped = is_roof & (slope_deg >= FLAT_DEG)
     num_sloped, num_level = len(np.unique(face[is_sloped])), len(np.unique(face[is_roof & ~is_sloped]))
     if num_sloped:

@@ -20,6 +20,7 @@ from p2wss.formats.meshes import VEGETATION
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.unclassified import ground_z_m, is_open, planar
+from p2wss.skeleton.angles import bearings
 
 
 @dataclass(frozen=True)
@@ -158,17 +159,14 @@ def _volume(xy_m: np.ndarray, low_z_m: float, high_z_m: float) -> Mesh:
     from trimesh.creation import uv_sphere  # takes longer to import than the rest
 
     def side(xy: np.ndarray) -> np.ndarray:
-        return (
-            np.round(np.arctan2(xy[:, 1], xy[:, 0]) / (2 * np.pi) * RULES.num_sides).astype(int)
-            % RULES.num_sides
-        )
+        return np.round(bearings(xy) / (2 * np.pi) * RULES.num_sides).astype(int) % RULES.num_sides
 
     middle = xy_m.mean(axis=0)
     radius_m = np.zeros(RULES.num_sides)
     np.maximum.at(radius_m, side(xy_m - middle), np.hypot(*(xy_m - middle).T))
     radius_m = np.maximum(radius_m, max(radius_m.mean() / 2, RULES.cell_m / 2))
     sphere = uv_sphere(count=[4, RULES.num_sides // 2])
-    ring_m = middle + sphere.vertices[:, :2] * radius_m[side(sphere.vertices), None]
+    ring_m = middle + sphere.vertices[:, :2] * radius_m[side(sphere.vertices[:, :2]), None]
     vertex_m = np.column_stack([ring_m, low_z_m + (high_z_m - low_z_m) * (sphere.vertices[:, 2] + 1) / 2])
     triangle = np.asarray(sphere.faces, np.int32)
     kind = np.full(len(triangle), VEGETATION, np.uint8)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from p2wss.skeleton.angles import tangents
 from p2wss.skeleton.batch import make_batch, work_size
 from p2wss.skeleton.compiled import ZERO, embedded, entry, inner
 from p2wss.skeleton.kinetic import skeleton_work
@@ -338,7 +339,7 @@ def roof_points(
     owned = face >= 0
     slope = np.ones(len(points))
     first_edge = polygons.vertex_offset[:-1]
-    slope[owned] = np.tan(np.radians(batch.angle_deg[first_edge[index[owned]] + face[owned]]))
+    slope[owned] = tangents(batch.angle_deg[first_edge[index[owned]] + face[owned]])
     z = eave[index] + slope * distance
     z[face == OUTSIDE] = np.nan
     return RoofPoints(z, np.where(owned, face, -1).astype(np.int32), status)

@@ -28,17 +28,14 @@ class OpenGround:
 
     def marked(self, mesh: Mesh) -> Mesh:
         """The mesh with the kind ``FLOOR`` for open ground. At least one face remains a roof."""
+        if not self.num_ground:
+            return mesh
         kind = mesh.kind
         is_low = (kind == FaceKind.FLAT) & (mesh.corner_m[:, :, 2].max(axis=1) <= _MAX_HEIGHT_M)
-        if not self.num_ground or not is_low.any():
-            return mesh
-        over = topmost(mesh.corner_m[is_low], self.point_m)[0]
-        # the face over each point plus one, 0 for none
-        face, size = np.where(over >= 0, mesh.label[is_low][over] + 1, 0), mesh.label.max() + 2
-        num, num_ground = (
-            np.bincount(face, minlength=size),
-            np.bincount(face[-self.num_ground :], minlength=size),
-        )
+        # the label of the face over each point plus one, 0 for none
+        over = np.append(mesh.label[is_low], -1)[topmost(mesh.corner_m[is_low], self.point_m)[0]] + 1
+        size = mesh.label.max() + 2
+        num, num_ground = (np.bincount(each, minlength=size) for each in (over, over[-self.num_ground :]))
         is_floor = is_low & (2 * num_ground > num)[mesh.label + 1]
         is_roof = ((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)) & ~is_floor
         kind = np.where(is_floor, np.uint8(FaceKind.FLOOR), kind)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import directions, edge_ends, slope_angles
+from p2wss.fit.directions import directions, edge_ends
 from p2wss.fit.planes.arrangement import Arrangement, arrange
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.known import known_lines, known_planes
@@ -19,6 +19,7 @@ from p2wss.fit.planes.solid import OUTSIDE, at_pinch, solid_below
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
+from p2wss.skeleton.angles import slope_angles
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 

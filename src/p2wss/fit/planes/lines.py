@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import bearings, edge_ends
+from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import Drawing
+from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.types import cross
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from p2wss.fit.directions import bearings, turn_between
+from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance
 from p2wss.fit.points import median
 from p2wss.fit.settings import Detection
+from p2wss.skeleton.angles import bearings
 
 # tangents: of a slope that may be level, and of a difference between slopes that may be equal
 _NEARLY_LEVEL, _NEARLY_EQUAL = 0.14, 0.06

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from p2wss.fit.directions import bearings, edge_ends, turn_between
+from p2wss.fit.directions import edge_ends, turn_between
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof.prior import Prior
 from p2wss.fit.roof.solve import Problem, Roofs, evaluate, improved
 from p2wss.fit.settings import PARAMETRIC, Parametric
 from p2wss.skeleton import Polygons
+from p2wss.skeleton.angles import bearings, tangents
 
 # fewer points show no roof
 MIN_NUM_POINTS = 3
@@ -177,9 +177,7 @@ def _tidied(problem: Problem, roof: Roofs) -> Roofs:
         )
         if is_steep.any():
             on = np.isin(roof.edge[0], np.flatnonzero(is_steep))
-            depth_m = np.max(roof.rise_m[0, on], initial=0.0) / math.tan(
-                math.radians(angle_deg[is_steep].max())
-            )
+            depth_m = np.max(roof.rise_m[0, on], initial=0.0) / tangents(angle_deg[is_steep].max())
             gables = evaluate(problem, np.where(is_steep, 90.0, roof.angle_deg), roof.eave_z_m)
             gables = improved(problem, gables, settings.num_trial_rounds)
             most_m = settings.wall_hits_m if depth_m < settings.min_slope_width_m else settings.rounding_m

@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from p2wss.fit.directions import slope_angles
 from p2wss.fit.roof.prior import Prior
 from p2wss.fit.settings import Parametric
 from p2wss.skeleton import Polygons, Status, roof_points
+from p2wss.skeleton.angles import slope_angles, tangents
 
 
 @dataclass(frozen=True)
@@ -105,11 +105,6 @@ def _cosine(angle_deg: np.ndarray, edge: np.ndarray) -> np.ndarray:
     return np.where(edge >= 0, np.cos(np.radians(slope_deg)), 1.0)
 
 
-def _tangent(angle_deg: np.ndarray) -> np.ndarray:
-    angle = np.radians(angle_deg)
-    return np.sin(angle) / np.cos(angle)
-
-
 def improved(problem: Problem, roofs: Roofs, num_rounds: int, only_eaves: bool = False) -> Roofs:
     """The roofs after up to so many rounds of least squares, none of them worse. only_eaves: slopes stay."""
     settings = problem.settings
@@ -144,7 +139,7 @@ def _least_squares(problem: Problem, roofs: Roofs, only_eaves: bool) -> tuple[np
     angle_deg, edge = roofs.angle_deg, roofs.edge
     k, m = edge.shape
     is_slope = (angle_deg > 0.0) & (angle_deg < 90.0)
-    tangent = np.where(is_slope, _tangent(angle_deg), 0.0)
+    tangent = np.where(is_slope, tangents(angle_deg), 0.0)
     of_face = np.take_along_axis(tangent, np.maximum(edge, 0), axis=1)
     distance_m = np.where(edge >= 0, roofs.rise_m, 0.0) / np.where(edge >= 0, of_face, 1.0)
     # points outside have a residual of NaN
@@ -178,7 +173,7 @@ def _least_squares(problem: Problem, roofs: Roofs, only_eaves: bool) -> tuple[np
         off_deg = np.maximum(np.abs(angle_deg - prior.slope_deg), settings.least_deg)
         slope_weight = np.where(is_slope, m * prior.degree_cost_m * per_tangent**2 / off_deg, 0.0)
         square[:, diagonal[1:], diagonal[1:]] += slope_weight @ in_direction.T
-        right[:, 1:] += (slope_weight * _tangent(prior.slope_deg)) @ in_direction.T
+        right[:, 1:] += (slope_weight * tangents(prior.slope_deg)) @ in_direction.T
     solution = np.linalg.solve(square, right[:, :, None])[:, :, 0]
     if only_eaves:
         return angle_deg, solution[:, 0]

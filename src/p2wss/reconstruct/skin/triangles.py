@@ -12,6 +12,7 @@ from p2wss.mesh.topology import NEXT, doubled_areas
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.reconstruct.skin.party_walls import NotJoined
 from p2wss.reconstruct.skin.solids import Face, area_vectors
+from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.groups import groups
 
 # areas of triangles may add up to this much less or more than their face
@@ -120,7 +121,7 @@ def _pair_around(point: np.ndarray, triangle: np.ndarray, halves: np.ndarray, tw
     across = point[triangle[t, (k + 2) % 3]] - a
     across -= (across @ axis)[:, None] * axis
     u = across[0] / np.linalg.norm(across[0])
-    angle = np.arctan2(across @ np.cross(axis, u), across @ u)
+    angle = bearings(across @ np.column_stack([u, np.cross(axis, u)]))
     # counter-clockwise about the axis, solid lies between a triangle on the way back and the next on the way forth
     around = np.lexsort([forward, angle])
     turn = forward[around]

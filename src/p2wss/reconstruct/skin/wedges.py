@@ -8,6 +8,7 @@ import numpy as np
 
 from p2wss.mesh.topology import NEXT, unit_normals
 from p2wss.reconstruct.skin import Skin
+from p2wss.skeleton.angles import bearings
 
 # faces that turn by less are one surface
 _MIN_TURN_DEG = 1.0
@@ -42,7 +43,7 @@ def wedges(skin: Skin) -> Wedges:
     sine = (np.cross(normal[left], normal[right]) * along).sum(axis=1)
     cosine = (normal[left] * normal[right]).sum(axis=1)
     # positive where the surface turns away from the outside, as at the corner of a box
-    turn_deg = np.degrees(np.arctan2(sine, cosine))
+    turn_deg = np.degrees(bearings(np.column_stack([cosine, sine])))
     is_wedge = turn_deg > _MIN_TURN_DEG
     return Wedges(
         vertex[np.column_stack([start, end])[is_wedge]] + origin,

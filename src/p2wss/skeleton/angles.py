@@ -1,0 +1,25 @@
+"""Angles and tangents that are the same on all processors: the last bit of numpy's ``arctan2``, ``arctan`` and ``tan``
+depends on the instructions that a processor has, and decides which way a coordinate is rounded."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def bearings(vectors: np.ndarray) -> np.ndarray:
+    """Angles of vectors (..., 2) from the first axis, radians."""
+    angle = [math.atan2(y, x) for x, y in vectors.reshape(-1, 2).tolist()]
+    return np.reshape(angle, vectors.shape[:-1])
+
+
+def slope_angles(rise: np.ndarray) -> np.ndarray:
+    """Degrees of slopes that rise by so much per metre."""
+    return np.degrees(bearings(np.stack([np.ones(rise.shape), rise], axis=-1)))
+
+
+def tangents(angle_deg: np.ndarray) -> np.ndarray:
+    """What slopes of so many degrees rise per metre."""
+    angle = np.radians(angle_deg)
+    return np.asarray(np.sin(angle) / np.cos(angle))
