@@ -73,9 +73,10 @@ def reconstruct(
     laspy has read. footprints: a vector file or a table with polygons, in any CRS; None for outlines that are derived
     from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only the buildings of
     these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run. terrain: a raster of
-    heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model: weights of a network,
-    or ``"none"``; by default the weights that come with the package where parametric roofs are asked for, and otherwise
-    none. config: a file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
+    heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model: weights of
+    Point2WSS, or ``"none"`` for no network at all; by default those that come with the package where parametric roofs
+    are asked for, and otherwise only a network that completes roofs of few points. config: a file, or sections such as
+    ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
     config/default.yaml describe every setting. threads: of the network; without one, as many processes
     fit. progress: whether to show a bar, or a function that is called with (number done, number in all).
 

@@ -68,8 +68,8 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
     "--model",
     type=PATH,
     more=True,
-    help="weights of the network (safetensors), or none (default: none for roofs of planes, otherwise the weights that "
-    "come with p2wss)",
+    help="weights of Point2WSS (safetensors), or none for no network at all (default: those that come with p2wss for "
+    "parametric roofs, otherwise only the network that completes roofs of few points)",
 )
 @device_option
 @setting("reconstruct.fit")

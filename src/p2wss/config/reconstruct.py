@@ -187,6 +187,11 @@ class Reconstruct(Section):
     fit: bool = Field(
         True, description="fit eave heights and roof angles to the points; false = keep the network's values"
     )
+    completion: bool = Field(
+        True,
+        description="where a roof of planes has fewer than two points per square metre, begin with the roof that a "
+        "network supposes between them; needs no torch",
+    )
     num_views: int = Field(
         1,
         ge=1,

@@ -23,7 +23,8 @@ class Building:
     (m,), LAS classes. ground_z_m: z of the ground at the building in the height system of the cloud, as the cloud
     shows it (:func:`p2wss.clouds.crops.crop_cloud`); NaN only without points. All other heights are above it.
     stated_height_m: height above the ground that the footprint states; NaN if unknown. around_m: (k, 3), points on the
-    roofs around a building with few of its own, in the same frame; none for others.
+    roofs around a building with few of its own, in the same frame; none for others. supposed_m: (s, 3), places all over
+    the roof of a building with few points, at heights that a network supposes; none for others.
     """
 
     building_id: str
@@ -35,6 +36,7 @@ class Building:
     ground_z_m: float
     stated_height_m: float = float("nan")
     around_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    supposed_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @cached_property
     def polygon(self) -> shapely.Polygon:

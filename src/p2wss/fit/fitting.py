@@ -20,7 +20,7 @@ from p2wss.fit.points import ground_points, shaft_points, wall_hits
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, fit_roof, roof_loss
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
-from p2wss.fit.settings import THRESHOLDS, Thresholds
+from p2wss.fit.settings import THRESHOLDS, Planes, Thresholds
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 
@@ -141,24 +141,35 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     # what roofs around show counts, too: of a house with a point on each roof, the row shows the rest
     if config.roofs == "parametric" or len(point_m) + len(around_m) < thresholds.min_plane_points:
         return None
-    # open ground gets the lowest roof
-    raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
+
+    def raised(each_m: np.ndarray) -> np.ndarray:
+        # open ground gets the lowest roof
+        return np.column_stack([each_m[:, :2], np.maximum(each_m[:, 2], config.min_eave_height_m)])
+
     settings = thresholds.planes.times(thresholds.detail[config.detail])
-    # few points hardly show how roofs meet; the paper's building says how they usually do
     area_m2 = shapely.Polygon(prepared.rings[0], prepared.rings[1:]).area
     has_few = len(point_m) < thresholds.known_per_m2 * area_m2
-    known = raise_parametric(task, prepared) if has_few else None
+    supposed_m = raised(task.building.supposed_m) if has_few else np.zeros((0, 3))
     planes = fit_planes(
         prepared.rings,
-        raised_m,
+        raised(point_m),
         settings,
         prepared.open_ground.num_ground,
         around_m,
-        known.mesh if isinstance(known, _Solid) else None,
+        known_roof(task, prepared, supposed_m, settings) if has_few else None,
+        supposed_m,
     )
     if planes is None:
         return None
     return _Solid(planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False)
+
+
+def known_roof(task: _Task, prepared: _Prepared, supposed_m: np.ndarray, settings: Planes) -> Mesh | None:
+    """The roof with which the search for planes begins, as few points hardly show how roofs meet: that of places (s, 3)
+    at heights which a network supposes, or without these the paper's building."""
+    supposed = fit_planes(prepared.rings, supposed_m, settings) if len(supposed_m) else None
+    solid = supposed or raise_parametric(task, prepared)
+    return None if isinstance(solid, str) else solid.mesh
 
 
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:

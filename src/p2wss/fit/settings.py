@@ -202,6 +202,9 @@ class PlanePrices(NamedTuple):
     small_step_m: float = 0.4
     # metres: larger residuals count as this
     cap_m: float = 1.0
+    # points per square metre that the roof which a network supposes counts like, and at most like the points; swept on
+    # thinned clouds
+    supposed_per_m2: float = 0.15
     # metres by which a roof may rise above its points, or fall below all of them
     support_m: float = 0.5
 
@@ -236,7 +239,8 @@ class Thresholds:
     planes: Planes = field(default_factory=Planes)
     # points on a roof and on those around it: with fewer, the parametric model knows more than planes in them show
     min_plane_points: int = 5
-    # per square metre of footprint: with fewer points, the search for planes begins with the parametric model
+    # per square metre of footprint: with fewer points, the search for planes begins with the roof that a network
+    # supposes, or else with the parametric model
     known_per_m2: float = 2.0
     # metres: shorter edges of the mesh are removed, if no vertex moves further
     short_edge_m: float = 0.2

@@ -21,7 +21,7 @@ from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
-from p2wss.nets.weights_file import read_metadata, weights_to_use
+from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 
@@ -41,7 +41,8 @@ class Inputs:
 
     name: of the outputs, after the first cloud. headers: of the clouds, files of folders included. points: the cloud if
     it is in memory. footprints: None where they are derived from the points. metric: the CRS of the run, ``crs``, and
-    that of the clouds. terrain: in the CRS of the run, and its file. weights: of the network, None for none.
+    that of the clouds. terrain: in the CRS of the run, and its file. weights: of Point2WSS, None for none. completion:
+    whether another network may complete roofs of few points.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Inputs:
     metric: MetricCrs
     terrain: tuple[Terrain, Path] | None
     weights: Path | None
+    completion: bool
 
     @property
     def crs(self) -> pyproj.CRS:
@@ -90,9 +92,9 @@ def check_inputs(
 ) -> Inputs:
     """The inputs of a run, cheap checks first.
 
-    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of the network, "none" for
-    none; by default those that :func:`p2wss.nets.weights_file.weights_to_use` chooses. may_be_empty: whether clouds and
-    footprints may be without content, as in a tile.
+    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of Point2WSS, "none" for
+    no network at all; by default those that :func:`p2wss.nets.weights_file.weights_to_use` chooses. may_be_empty:
+    whether clouds and footprints may be without content, as in a tile.
 
     Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
     """
@@ -126,7 +128,9 @@ def check_inputs(
     if terrain is not None:
         heights, heights_crs = read_terrain(terrain, metric.source.to_wkt())
         raster = (metric.terrain(heights, heights_crs, terrain), Path(terrain))
-    return Inputs(_name(cloud), headers, points, footprints, metric, raster, weights)
+    return Inputs(
+        _name(cloud), headers, points, footprints, metric, raster, weights, str(model) != NO_NETWORK
+    )
 
 
 def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: ClassSet = LAS) -> Cloud:

@@ -1,4 +1,4 @@
-"""Buildings with the heights and angles that the network predicts."""
+"""What networks say of buildings: heights and angles, and roofs between few points."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
+import shapely
 
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.mesh.parametric import build_meshes, kernel_angles, simplify_exterior, transfer_angles
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS
+from p2wss.fit.settings import THRESHOLDS
 from p2wss.nets.prediction import Prediction
+from p2wss.nets.supposed import supposed_roof
 
 
 class Predictor(Protocol):
@@ -78,6 +81,20 @@ def reconstruct_with_network(
         replace(reconstruction, class_probability=edges)
         for reconstruction, edges in zip(reconstructions, probability, strict=True)
     ]
+
+
+def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
+    """The buildings; those with few points per square metre with the roof that the network of
+    :mod:`p2wss.nets.completion` supposes between them."""
+    result = []
+    for building in buildings:
+        roof_m = building.point_m[building.is_on_building]
+        roof_m = roof_m[shapely.contains_xy(building.polygon, *roof_m[:, :2].T)]
+        if 0 < len(roof_m) < THRESHOLDS.known_per_m2 * building.polygon.area:
+            supposed_m = supposed_roof(building.polygon, roof_m, building.around_m)
+            building = replace(building, supposed_m=supposed_m)
+        result.append(building)
+    return result
 
 
 def _on_building_m(building: Building) -> np.ndarray:

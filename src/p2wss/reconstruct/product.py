@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
-from p2wss.reconstruct.network import Predictor, reconstruct_with_network
+from p2wss.reconstruct.network import Predictor, reconstruct_with_network, with_supposed_roofs
 from p2wss.reconstruct.valid import simpler_fits, with_valid_solids
 
 # names of the methods, in files and reports
 NETWORK, FIT = "point2wss", fitting.METHOD
-NETWORK_AND_FIT = f"{NETWORK}+{FIT}"
+NETWORK_AND_FIT, COMPLETION_AND_FIT = f"{NETWORK}+{FIT}", f"completion+{FIT}"
 
 
 def reconstruct_buildings(
@@ -22,8 +23,9 @@ def reconstruct_buildings(
     """The product: one reconstruction per building, in order.
 
     The network's values from ``config.num_views`` views are fitted to the points. With ``config.fit`` off they are
-    the result, from as many views as the model was trained for; without a predictor there is only the fit. Where
-    these give no mesh, the result is a flat roof of the method ``lod1`` whose status has the reason
+    the result, from as many views as the model was trained for; without a predictor there is only the fit. With
+    ``config.completion``, a network supposes what roofs of planes are like between few points, and they are fitted to
+    that, too. Where these give no mesh, the result is a flat roof of the method ``lod1`` whose status has the reason
     (:func:`p2wss.reconstruct.flat.with_fallback`). All meshes are valid solids (:mod:`p2wss.reconstruct.valid`).
     """
     initial = None
@@ -37,7 +39,12 @@ def reconstruct_buildings(
         def simpler(row: int) -> Iterator[Reconstruction]:
             return simpler_fits(buildings[row], starts[row], method, config)
 
-        fits = fitting.fit(buildings, config, initial, method)
+        if config.completion and config.roofs == "planes":
+            buildings = with_supposed_roofs(buildings)
+        fits = [
+            replace(fit, method=COMPLETION_AND_FIT) if len(building.supposed_m) else fit
+            for fit, building in zip(fitting.fit(buildings, config, initial, method), buildings, strict=True)
+        ]
         reconstructions = with_valid_solids(fits, buildings, simpler)
     else:
         reconstructions = with_valid_solids(initial, buildings)

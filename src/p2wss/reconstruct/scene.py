@@ -281,7 +281,9 @@ def reconstruct(
     progress: bool | Callable[[int, int], object] = True,
 ) -> Scene:
     """See :func:`p2wss.reconstruct`."""
-    settings, tile = config.reconstruct, selection.tile
+    completion = config.reconstruct.completion and inputs.completion
+    settings = config.reconstruct.model_copy(update={"completion": completion})
+    config, tile = config.model_copy(update={"reconstruct": settings}), selection.tile
     predictor = load_network(inputs.weights, machine.device, machine.threads)
     terrain = None if inputs.terrain is None else inputs.terrain[0]
     outline_cloud = None
@@ -327,7 +329,7 @@ def reconstruct(
             exports.check_coverage(*inputs.terrain, rows)
         for note in exports.notes(settings, rows, terrain is not None):
             log.info("note: %s", note)
-        method = f"model {inputs.weights}" if inputs.weights else "fit to the points without a network"
+        method = f"model {inputs.weights}" if inputs.weights else "fit to the points"
         log.info("%d footprints, %d points around them; %s", len(rows), points.num_points, method)
         stem = tile or inputs.name
         with _reporting(progress, len(area.numbers)) as report:

@@ -84,12 +84,13 @@ def fit_planes(
     num_open: int = 0,
     around_m: np.ndarray | None = None,
     known: Mesh | None = None,
+    supposed_m: np.ndarray | None = None,
 ) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
     closed. The last ``num_open`` points are of open ground: where they show it, there is no solid, if one without it is
     closed and in one piece. around_m: (k, 3), points on other roofs, which may have planes and lines in common with
     this one, as those of a row have. known: a roof with which the search begins, and whose planes and lines this one
-    may have."""
+    may have. supposed_m: (s, 3), places all over the roof at heights that count as little as a few points."""
     area_m2, order = shapely.Polygon(rings[0], rings[1:]).area, even_order(point_m)
     order = order[every_kth(len(order), int(settings.detection.max_per_m2 * area_m2) + 1)]
     point_m, is_open = point_m[order], order >= len(point_m) - num_open
@@ -122,8 +123,15 @@ def fit_planes(
     cells, num_known = arrange(rings, lines), len(plane) - num_found
     cell = cells.cells_at(point_m[:, :2])
     seen_m, of_cell = (point_m, cell) if known is None else _spread(cells, point_m, cell, density, main[0])
-    per_m2 = density * len(seen_m) / len(point_m)
-    costs = costs_of(cells, plane, seen_m, of_cell, per_m2, settings.prices.for_density(density), num_known)
+    stands_m2 = np.full(len(seen_m), len(point_m) / (density * len(seen_m)))
+    if supposed_m is not None and len(supposed_m):
+        seen_m = np.vstack([seen_m, supposed_m])
+        of_cell = np.append(of_cell, cells.cells_at(supposed_m[:, :2]))
+        supposed_m2 = area_m2 * min(settings.prices.supposed_per_m2 / density, 1.0)
+        stands_m2 = np.append(stands_m2, np.full(len(supposed_m), supposed_m2 / len(supposed_m)))
+    costs = costs_of(
+        cells, plane, seen_m, of_cell, stands_m2, settings.prices.for_density(density), num_known
+    )
     built = label = _without_pinches(cells, costs, least_cost(costs, num_known), plane)
     if num_open:
         built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)

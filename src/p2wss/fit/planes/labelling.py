@@ -70,16 +70,16 @@ def costs_of(
     plane: np.ndarray,
     point_m: np.ndarray,
     of_cell: np.ndarray,
-    density: float,
+    stands_m2: np.ndarray,
     prices: PlanePrices,
     num_known: int = 0,
 ) -> Costs:
     """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
-    density: points per square metre, each of which stands for an area. num_known: the last planes, of a known roof."""
-    num_planes, own_m = len(plane), point_m[of_cell >= 0]
+    stands_m2: (m,), the area that each point stands for. num_known: the last planes, of a known roof."""
+    num_planes, own_m, own_m2 = len(plane), point_m[of_cell >= 0], stands_m2[of_cell >= 0]
     off_m = np.minimum(np.abs(heights(plane, own_m[:, :2]) - own_m[:, 2:]), prices.cap_m)
     place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
-    off_m3 = np.bincount(place, off_m.ravel() / density, len(cells.area_m2) * num_planes)
+    off_m3 = np.bincount(place, (off_m * own_m2[:, None]).ravel(), len(cells.area_m2) * num_planes)
     cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
     low_z, high_z = cells.extremes(plane)
     above_m, below_m = high_z - point_m[:, 2].max(), point_m[:, 2].min() - low_z

@@ -616,9 +616,8 @@ def test_few_points_that_are_all_outside_of_moved_walls_still_show_a_roof() -> N
 def test_a_point_far_off_costs_as_much_as_one_metre(per_m2: float) -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     point_m, prices = np.array([[2.0, 5.0, 3.0], [8.0, 5.0, 11.0]]), PLANES.prices.for_density(per_m2)
-    costs = costs_of(
-        arrange([square], []), np.array([[0.0, 0.0, 3.0]]), point_m, np.zeros(2, int), per_m2, prices
-    )
+    cells, stands_m2 = arrange([square], []), np.full(2, 1 / per_m2)
+    costs = costs_of(cells, np.array([[0.0, 0.0, 3.0]]), point_m, np.zeros(2, int), stands_m2, prices)
     assert costs.cell_m3[0, 0] == pytest.approx(1 / per_m2)
 
 
@@ -628,7 +627,7 @@ def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -
     around_m = np.column_stack([np.linspace(-3, 3, 25), np.full(25, -1.0), np.linspace(0, 6, 25)])
     point_m = np.vstack([[1.0, 5.0, 4.0], around_m])
     prices = PLANES.prices._replace(cap_m=99.0)
-    costs = costs_of(cells, plane, point_m, np.append(0, np.full(25, -1)), 0.01, prices)
+    costs = costs_of(cells, plane, point_m, np.append(0, np.full(25, -1)), np.full(26, 100.0), prices)
     # 13 m high at the far side; the highest point is at 6 m
     expected_m = 13.0 - 6.0 - prices.support_m
     assert costs.cell_m3[0, 0] == pytest.approx(100 * expected_m)

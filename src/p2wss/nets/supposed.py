@@ -1,0 +1,154 @@
+"""The roof that the network of :mod:`p2wss.nets.completion` supposes between few points. Imports no torch."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import shapely
+
+from p2wss.fit.points import every_kth
+from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_VERTICES, SCALE_M, Clues, Features, features_of
+
+KIND = "completion"
+# metres by which footprints are simplified until they have few enough vertices
+_SIMPLIFY_M = (0.3, 0.5, 1.0, 2.0)
+# places at which the roof is asked for: per square metre, and at most
+_PLACES_PER_M2, _MAX_PLACES = 2.0, 400
+_HIDDEN, _EPSILON = -1e4, 1e-5
+_Weights = dict[str, np.ndarray]
+
+
+def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.ndarray) -> np.ndarray:
+    """Places (k, 3) all over a roof, at the heights that the network supposes: the median of its distribution, in whole
+    centimetres. None for a footprint of too many vertices.
+
+    polygon: the footprint. point_m: (m, 3), on the roof, m > 0. around_m: (n, 3), on the roofs around. The
+    longest edge of the footprint gives the frame, so that the result turns with the building.
+    """
+    ring_m = _simple_ring(polygon)
+    if ring_m is None:
+        return np.zeros((0, 3))
+    edge_m = np.roll(ring_m, -1, axis=0) - ring_m
+    along = edge_m[(edge_m**2).sum(axis=1).argmax()]
+    cos, sin = along / np.hypot(*along)
+    to_frame = np.array([[cos, -sin], [sin, cos]])
+    in_frame_m = ring_m @ to_frame
+    low_m, high_m = in_frame_m.min(axis=0), in_frame_m.max(axis=0)
+    middle_m = (low_m + high_m) / 2
+    place_m = _grid(low_m, high_m, polygon.area) @ to_frame.T
+    place_m = place_m[shapely.contains_xy(polygon, *place_m.T)]
+    away_m = shapely.distance(polygon, shapely.points(around_m[:, :2]))
+    around_m = around_m[np.argsort(away_m, kind="stable")[:MAX_AROUND]]
+    point_m = point_m[every_kth(len(point_m), MAX_POINTS)]
+    mean_z = point_m[:, 2].mean()
+
+    def scaled(each_m: np.ndarray) -> np.ndarray:
+        flat = (each_m[:, :2] @ to_frame - middle_m) / SCALE_M
+        return np.column_stack([flat, (each_m[:, 2:] - mean_z) / SCALE_M])[None]
+
+    every = [np.ones((1, len(each)), bool) for each in (point_m, around_m, ring_m)]
+    clues = Clues(
+        scaled(point_m), every[0], scaled(around_m), every[1], scaled(ring_m), every[2], scaled(place_m)
+    )
+    return np.column_stack([place_m, np.round(mean_z + SCALE_M * _median(features_of(clues)), 2)])
+
+
+def _simple_ring(polygon: shapely.Polygon) -> np.ndarray | None:
+    for simplify_m in _SIMPLIFY_M:
+        exterior = shapely.get_exterior_ring(shapely.orient_polygons(polygon.simplify(simplify_m)))
+        ring_m = shapely.get_coordinates(exterior)[:-1]
+        if len(ring_m) <= MAX_VERTICES:
+            return ring_m
+    return None
+
+
+def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
+    """Places (k, 2) within a box, on a grid of which each is moved at random: GEOS fails on regular ones."""
+    gap_m = max(_PLACES_PER_M2**-0.5, (area_m2 / _MAX_PLACES) ** 0.5)
+    count = np.ceil((high_m - low_m) / gap_m).astype(int)
+    step_m = (high_m - low_m) / count
+    cell = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
+    return low_m + (cell + np.random.default_rng(0).uniform(0.3, 0.7, cell.shape)) * step_m
+
+
+@cache
+def _weights() -> _Weights:
+    """Those that come with the package."""
+    from safetensors.numpy import load_file
+
+    path = Path(str(files("p2wss"))) / "weights" / "completion.safetensors"
+    return {name: value.astype(float) for name, value in load_file(path).items()}
+
+
+def _median(features: Features) -> np.ndarray:
+    """The medians (q,) of the heights at the places of one building."""
+    z, _, logit = mixture_of(features, _weights())
+    share = np.exp(logit - logit.max(axis=1, keepdims=True))
+    order = np.argsort(z, axis=1, kind="stable")
+    below = np.take_along_axis(share, order, axis=1).cumsum(axis=1)
+    first = (below >= below[:, -1:] / 2).argmax(axis=1)
+    place = np.arange(len(z))
+    return np.asarray(z[place, order[place, first]])
+
+
+def mixture_of(features: Features, weights: _Weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(z (q, k), slope (k, 2), logit (q, k)) of one building, as
+    :class:`p2wss.nets.completion.RoofCompletion` has them."""
+    point, is_own, edge, place, is_token, distance, offset, place_distance, axis, z = (
+        each[0] for each in features
+    )
+
+    def linear(name: str, x: np.ndarray) -> np.ndarray:
+        y = x @ weights[f"{name}.weight"].T
+        return y + weights[f"{name}.bias"] if f"{name}.bias" in weights else y
+
+    def norm(name: str, x: np.ndarray) -> np.ndarray:
+        x = x - x.mean(axis=-1, keepdims=True)
+        x = x / np.sqrt((x**2).mean(axis=-1, keepdims=True) + _EPSILON)
+        return x * weights[f"{name}.weight"] + weights[f"{name}.bias"]
+
+    def block(name: str, x: np.ndarray, source: np.ndarray | None, away: np.ndarray) -> np.ndarray:
+        normed = norm(f"{name}.norm", x)
+        bias = np.where(is_token, -away * weights[f"{name}.decay"][:, None, None], _HIDDEN)
+        heads = len(bias)
+        query = linear(f"{name}.attention.query", normed).reshape(len(x), heads, -1).swapaxes(0, 1)
+        pairs = linear(f"{name}.attention.key_value", normed if source is None else source)
+        key, value = pairs.reshape(len(pairs), 2, heads, -1).transpose(1, 2, 0, 3)
+        score = query @ key.swapaxes(1, 2) / np.sqrt(query.shape[2]) + bias
+        score = np.exp(score - score.max(axis=2, keepdims=True))
+        mixed = score / score.sum(axis=2, keepdims=True) @ value
+        x = x + linear(f"{name}.attention.out", mixed.swapaxes(0, 1).reshape(x.shape))
+        return x + linear(f"{name}.mlp.2", _gelu(linear(f"{name}.mlp.0", norm(f"{name}.mlp_norm", x))))
+
+    kind = weights["kind"]
+    x = np.vstack([linear("point", point) + kind[1 - is_own], linear("edge", edge) + kind[2]])
+    for name in _blocks("blocks", weights):
+        x = block(name, x, None, distance)
+    x, y = norm("norm", x), linear("place", place)
+    for name in _blocks("place_blocks", weights):
+        y = block(name, y, x, place_distance)
+    plane = linear("plane.2", _gelu(linear("plane.0", x))).reshape(len(x), 2, 4)
+    beside = np.column_stack([-axis[:, 1], axis[:, 0]])
+    slope = plane[..., 1:2] * axis[:, None] + plane[..., 2:3] * beside[:, None]
+    at_place = z[:, None] + plane[..., 0] + (offset[:, :, None] * slope).sum(axis=-1)
+    away = place_distance[..., None]
+    pair = linear("of_pair", np.concatenate([np.abs(offset), away, np.log(away + 0.02), at_place], axis=-1))
+    of_plane = linear("of_plane", x).reshape(len(x), 2, -1)
+    of_place = linear("of_place", norm("place_norm", y))
+    both = _gelu(of_plane + of_place[:, None, None] + pair[:, :, None])
+    logit = np.where(is_token[:, None], linear("choice", both)[..., 0] - away * weights["decay"], _HIDDEN)
+    return at_place.reshape(len(y), -1), slope.reshape(-1, 2), logit.reshape(len(y), -1)
+
+
+def _blocks(name: str, weights: _Weights) -> list[str]:
+    return sorted({".".join(each.split(".")[:2]) for each in weights if each.startswith(f"{name}.")})
+
+
+def _gelu(x: np.ndarray) -> np.ndarray:
+    """x times the share of a normal distribution below x."""
+    from scipy.special import ndtr
+
+    return np.asarray(x * ndtr(x))
