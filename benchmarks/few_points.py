@@ -28,6 +28,7 @@ from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.product import reconstruct_buildings
 
 _NUM_DRAWS = 3
 # points per square metre of the footprint; with 20, nearly all houses have all their points, 14 (median)
@@ -75,17 +76,20 @@ def with_roofs_around(buildings: list[Building]) -> list[Building]:
 def fits_of(
     buildings: list[Building], config: Reconstruct, predictor: Any, only_default: bool
 ) -> dict[str, list[Reconstruction]]:
-    """Reconstructions by each method."""
+    """Reconstructions by each method; "fit": what the points alone show."""
+    default = reconstruct_buildings(buildings, None, config)
     if only_default:
-        return {"default": with_fallback(fitting.fit(buildings, config), buildings, config)}
+        return {"default": default}
     parametric = config.model_copy(update={"roofs": "parametric"})
     alone = [replace(each, around_m=np.zeros((0, 3))) for each in buildings]
-    fits = {"default": fitting.fit(buildings, config), "alone": fitting.fit(alone, config)}
+    fits = {"fit": fitting.fit(buildings, config), "alone": fitting.fit(alone, config)}
     fits |= {"parametric": fitting.fit(buildings, parametric)}
     if predictor is not None:
         network = reconstruct_with_network(buildings, predictor, config)
         fits |= {"network": network, "network, parametric": fitting.fit(buildings, parametric, network)}
-    return {name: with_fallback(rows, buildings, config) for name, rows in fits.items()}
+    return {"default": default} | {
+        name: with_fallback(rows, buildings, config) for name, rows in fits.items()
+    }
 
 
 def main() -> int:

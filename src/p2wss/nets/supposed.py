@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from p2wss.fit.points import every_kth
 from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_VERTICES, SCALE_M, Clues, Features, features_of
 
 KIND = "completion"
 # metres by which footprints are simplified until they have few enough vertices
 _SIMPLIFY_M = (0.3, 0.5, 1.0, 2.0)
-# places at which the roof is asked for: per square metre, and at most
-_PLACES_PER_M2, _MAX_PLACES = 2.0, 400
+# places at which the roof is asked for: at least, at most, and one per square metre in between; swept
+_MIN_PLACES, _MAX_PLACES = 64, 200
 _HIDDEN, _EPSILON = -1e4, 1e-5
 _Weights = dict[str, np.ndarray]
 
@@ -32,7 +31,8 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
     if ring_m is None:
         return np.zeros((0, 3))
     edge_m = np.roll(ring_m, -1, axis=0) - ring_m
-    along = edge_m[(edge_m**2).sum(axis=1).argmax()]
+    # of two as long as each other, the first, whatever the rounding
+    along = edge_m[np.round(np.hypot(*edge_m.T), 2).argmax()]
     cos, sin = along / np.hypot(*along)
     to_frame = np.array([[cos, -sin], [sin, cos]])
     in_frame_m = ring_m @ to_frame
@@ -42,7 +42,7 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
     place_m = place_m[shapely.contains_xy(polygon, *place_m.T)]
     away_m = shapely.distance(polygon, shapely.points(around_m[:, :2]))
     around_m = around_m[np.argsort(away_m, kind="stable")[:MAX_AROUND]]
-    point_m = point_m[every_kth(len(point_m), MAX_POINTS)]
+    point_m = point_m[np.linspace(0, len(point_m) - 1, min(len(point_m), MAX_POINTS)).astype(int)]
     mean_z = point_m[:, 2].mean()
 
     def scaled(each_m: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def _simple_ring(polygon: shapely.Polygon) -> np.ndarray | None:
 
 def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
     """Places (k, 2) within a box, on a grid of which each is moved at random: GEOS fails on regular ones."""
-    gap_m = max(_PLACES_PER_M2**-0.5, (area_m2 / _MAX_PLACES) ** 0.5)
+    gap_m = (area_m2 / np.clip(area_m2, _MIN_PLACES, _MAX_PLACES)) ** 0.5
     count = np.ceil((high_m - low_m) / gap_m).astype(int)
     step_m = (high_m - low_m) / count
     cell = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)

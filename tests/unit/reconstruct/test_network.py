@@ -16,8 +16,10 @@ from oracle_network import Oracle
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit.mesh.parametric import kernel_angles, simplify_exterior, transfer_angles
+from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.flat import flat_height_m, lod1, with_fallback
-from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.network import reconstruct_with_network, with_supposed_roofs
+from p2wss.reconstruct.product import reconstruct_buildings
 
 CONFIG = Reconstruct()
 RECTANGLE = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
@@ -155,3 +157,33 @@ def test_order_and_company_do_not_matter() -> None:
     for a, b in zip(forth, back, strict=True):
         assert a.status == b.status and a.has_mesh == b.has_mesh
         assert not a.has_mesh or np.array_equal(a.mesh.vertex_m, b.mesh.vertex_m)
+
+
+def gable_house(num_points: int) -> Building:
+    """A house under a gable roof, eaves at 5 m, slopes of 0.8, by so many of its points."""
+    case = building(num_points=num_points)
+    depth_m = np.minimum(case.point_m[:, 1], 8 - case.point_m[:, 1])
+    return replace(case, point_m=np.column_stack([case.point_m[:, :2], 5 + 0.8 * depth_m]))
+
+
+def test_a_network_supposes_the_roof_between_few_points_only() -> None:
+    few, many = with_supposed_roofs([gable_house(12), gable_house(400)])
+    assert len(many.supposed_m) == 0 and len(few.supposed_m) >= 64
+    depth_m = np.minimum(few.supposed_m[:, 1], 8 - few.supposed_m[:, 1])
+    assert np.abs(few.supposed_m[:, 2] - (5 + 0.8 * depth_m)).mean() < 0.3
+    (none,) = with_supposed_roofs([building(num_points=0)])
+    assert len(none.supposed_m) == 0
+
+
+def test_a_house_with_few_points_is_completed_unless_the_config_says_no() -> None:
+    whole_m, config = gable_house(400).point_m, Reconstruct(min_num_points=3)
+    found = {}
+    for completion in (True, False):
+        switched = config.model_copy(update={"completion": completion})
+        (found[completion],) = reconstruct_buildings([gable_house(10)], None, switched)
+    assert [found[each].method for each in (True, False)] == ["completion+fit", "fit"]
+    for reconstruction in found.values():
+        mesh = reconstruction.mesh
+        assert mesh.is_closed and distance_to_mesh(whole_m, mesh.vertex_m, mesh.triangle).mean() < 0.05
+    parametric = config.model_copy(update={"roofs": "parametric"})
+    assert reconstruct_buildings([gable_house(10)], None, parametric)[0].method == "fit"

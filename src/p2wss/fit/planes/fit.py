@@ -29,8 +29,6 @@ _PINCH_M3 = 1e6
 _NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
 _INSIDE_M, _LEVEL = 0.1, 0.02
-# multiples of the distance between few points: each stands for places so far from it
-_SPREAD_GAPS = 0.15
 # metres: a lower roof may be open ground
 _LOW_M = 2.0
 
@@ -122,8 +120,7 @@ def fit_planes(
         plane, lines = np.vstack([plane, known_planes(known)]), lines + known_lines(known)
     cells, num_known = arrange(rings, lines), len(plane) - num_found
     cell = cells.cells_at(point_m[:, :2])
-    seen_m, of_cell = (point_m, cell) if known is None else _spread(cells, point_m, cell, density, main[0])
-    stands_m2 = np.full(len(seen_m), len(point_m) / (density * len(seen_m)))
+    seen_m, of_cell, stands_m2 = point_m, cell, np.full(len(point_m), 1 / density)
     if supposed_m is not None and len(supposed_m):
         seen_m = np.vstack([seen_m, supposed_m])
         of_cell = np.append(of_cell, cells.cells_at(supposed_m[:, :2]))
@@ -141,22 +138,6 @@ def fit_planes(
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
     return PlanesFit(plane, cells, label, body, num_bodies, mesh)
-
-
-def _spread(
-    cells: Arrangement, point_m: np.ndarray, cell: np.ndarray, density: float, bearing: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """(points (5 m, 3), their cells): each point five times, in its cell and in those around it. Where points are few,
-    each stands for the places around it, and a tiny cell must not have all of its residual. bearing: of the building,
-    radians."""
-    turn = bearing + np.arange(4) * np.pi / 2
-    around_m = (
-        _SPREAD_GAPS * density**-0.5 * np.vstack([[0, 0], np.column_stack([np.cos(turn), np.sin(turn)])])
-    )
-    of_cell = cells.cells_at((point_m[:, None, :2] + around_m).reshape(-1, 2)).reshape(-1, len(around_m))
-    # a point on another roof says nothing of this one
-    of_cell = np.where(np.minimum(of_cell, cell[:, None]) < 0, cell[:, None], of_cell)
-    return np.repeat(point_m, len(around_m), axis=0), of_cell.ravel()
 
 
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.fit import _spread, fit_planes
+from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.planes.known import known_lines, known_planes
 from p2wss.fit.planes.labelling import Costs, least_cost
-from p2wss.fit.planes.lines import Line, ends_of
+from p2wss.fit.planes.lines import ends_of
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 
@@ -81,15 +80,3 @@ def test_the_search_begins_with_the_known_planes() -> None:
     assert least_cost(costs).tolist() == [0, 0]
     assert least_cost(costs, 2).tolist() == [2, 2]
     assert least_cost(costs, 1).tolist() == [0, 0]
-
-
-def test_a_point_stands_for_places_on_its_own_roof_only() -> None:
-    """One in the middle, at a line, one at the border, and one on the neighbour's side of it."""
-    cells = arrange([RECTANGLE], [Line(np.array([1.0, 0.0]), 6.0)])
-    point_m = np.array([[5.9, 4.0, 4.0], [11.9, 4.0, 4.0], [12.1, 4.0, 9.0]])
-    cell = cells.cells_at(point_m[:, :2])
-    seen_m, of_cell = _spread(cells, point_m, cell, 1.0, 0.0)
-    assert np.array_equal(seen_m[::5], point_m) and len(seen_m) == len(of_cell) == 15
-    one, other = cell[:2].tolist()
-    assert sorted(of_cell[:5].tolist()) == sorted([one] * 4 + [other])
-    assert of_cell[5:].tolist() == [other] * 5 + [-1] * 5

@@ -1,0 +1,115 @@
+"""Training of the completion: drawn roofs, varied samples, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file
+
+from p2wss import cli
+from p2wss.config.training import Optimiser
+from p2wss.nets import supposed
+from p2wss.nets.clues import MAX_POINTS, SCALE_M
+from p2wss.nets.completion import RoofCompletion
+from p2wss.storage.errors import InputError
+from p2wss.towns.buildings import Wing
+from p2wss.training import completion, drawn_roofs
+from p2wss.training.drawn_roofs import DrawnRoofs, _roof, draw_batch, draw_roofs
+
+
+@pytest.fixture
+def few_towns(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = {kind: (draw, 1) for kind, (draw, _) in drawn_roofs.KINDS.items() if kind != "streets"}
+    monkeypatch.setattr(drawn_roofs, "KINDS", kinds)
+
+
+@pytest.fixture
+def roofs(few_towns: None) -> DrawnRoofs:
+    return draw_roofs(5)
+
+
+def test_the_highest_of_wings_is_seen() -> None:
+    gable = Wing(np.array([[0.0, 0], [10, 0], [10, 8], [0, 8]]), 4.0, 45.0, (0, 2))
+    annex = Wing(np.array([[0.0, 7], [10, 7], [10, 12], [0, 12]]), 3.0, 0.0, ())
+    z, slope = _roof([gable, annex], np.array([[5.0, 1], [5, 6], [5, 7.5], [5, 11], [5, 20]]))
+    assert z == pytest.approx([5, 6, 4.5, 3, -np.inf])
+    assert slope == pytest.approx(np.array([[0, 1], [0, -1], [0, -1], [0, 0], [0, 0]]), abs=1e-12)
+
+
+def test_samples_lie_on_planes_with_their_slopes(roofs: DrawnRoofs) -> None:
+    """Two samples of one slope that are near each other are on one plane, unless there is a step between them."""
+    assert (roofs.z > 0.5).all() and (roofs.seen_z >= roofs.z).all()
+    shares = []
+    for xy, z, slope in zip(roofs.xy, roofs.z, roofs.slope, strict=True):
+        offset = xy[:, None] - xy
+        off_m = z[:, None] - z - (offset * slope[:, None]).sum(axis=-1)
+        same = (np.abs(slope[:, None] - slope).max(axis=-1) < 1e-9) & (np.hypot(*offset.T).T < 0.7)
+        shares.append((np.abs(off_m[same]) < 1e-6).mean())
+    assert np.mean(shares) > 0.95
+    neighbour = roofs.neighbour[roofs.neighbour >= 0]
+    assert len(neighbour) and neighbour.max() < len(roofs.z)
+    own = np.repeat(np.arange(len(roofs.z)), (roofs.neighbour >= 0).sum(axis=1))
+    assert (own != neighbour).all() and np.hypot(*(roofs.centre[own] - roofs.centre[neighbour]).T).max() < 80
+
+
+def test_samples_are_deterministic_and_vary(roofs: DrawnRoofs) -> None:
+    index = np.arange(40)
+    first, again, other = (draw_batch(roofs, index, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    for one, same in zip((*first[0], *first[1:]), (*again[0], *again[1:]), strict=True):
+        assert np.array_equal(one, same)
+    assert not np.array_equal(first[1], other[1])
+
+
+def test_heights_and_slopes_of_a_batch_fit_each_other(roofs: DrawnRoofs) -> None:
+    """Also after the roofs are stretched, mirrored, turned, lowered in parts and raised."""
+    clues, z, slope = draw_batch(roofs, np.arange(len(roofs.z)), np.random.default_rng(3))
+    offset = clues.place[:, :, None] - clues.place[:, None]
+    off_m = SCALE_M * (z[:, :, None] - z[:, None] - (offset * slope[:, :, None]).sum(axis=-1))
+    same = np.abs(slope[:, :, None] - slope[:, None]).max(axis=-1) < 1e-9
+    same &= np.linalg.norm(offset, axis=-1) < 0.07
+    same &= ~np.eye(z.shape[1], dtype=bool)
+    assert same.sum() > 1000 and (np.abs(off_m[same]) < 1e-6).mean() > 0.9
+    mean = (clues.point[..., 2] * clues.is_point).sum(axis=1) / clues.is_point.sum(axis=1)
+    assert mean == pytest.approx(0, abs=1e-9)
+    assert clues.is_point.sum(axis=1).min() >= 3 and clues.is_point.sum(axis=1).max() <= MAX_POINTS
+
+
+def test_the_command_trains(few_towns: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(completion, "_NUM_VALIDATION", 16)
+    out, metrics = tmp_path / "c.safetensors", tmp_path / "m.jsonl"
+    arguments = ["completion", "--out", str(out), "--out-metrics", str(metrics), "--batch-size", "4"]
+    arguments += ["--checkpoints", str(tmp_path / "checkpoints"), "--num-steps", "4"]
+    assert cli.main(arguments) == 0
+    records = [json.loads(line) for line in metrics.read_text().splitlines()]
+    assert any("loss" in record for record in records)
+    assert all(0 < record["val_height_m"] < 10 for record in records if "val_height_m" in record)
+    assert load_file(out).keys() == supposed._weights().keys()
+    assert not (tmp_path / "checkpoints").exists()
+
+
+def test_a_batch_is_learnt(roofs: DrawnRoofs) -> None:
+    """The loss that is minimised becomes that of heights known to decimetres."""
+    torch.manual_seed(0)
+    task = completion.CompletionTask(RoofCompletion(), roofs, 8, 0)
+    optimiser = torch.optim.Adam(task.module.parameters(), 1e-3)
+    losses = []
+    for _ in range(40):
+        loss = task.step(0)["loss"]
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < losses[0] - 1.5
+
+
+def test_a_loss_that_is_not_finite_is_one_line(
+    few_towns: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(completion, "completion_loss", lambda mixture, z, slope: mixture.z.mean() * np.nan)
+    optimiser = Optimiser(num_steps=20, batch_size=2)
+    with pytest.raises(InputError, match="the loss is nan at step 20"):
+        completion.train(optimiser, "cpu", tmp_path, "x")
