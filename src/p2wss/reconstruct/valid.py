@@ -11,10 +11,13 @@ from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit import fitting
 from p2wss.fit.mesh.walls import REACH_M, with_exact_walls
+from p2wss.fit.settings import THRESHOLDS
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
 from p2wss.mesh.repair import surfaces_to_write
 
+# multiples of the prices of roofs that replace an invalid one
+_PRICES = (2.0, 4.0, 8.0)
 # of a row: simpler reconstructions, the best first
 Simpler = Callable[[int], Iterable[Reconstruction]]
 
@@ -64,10 +67,11 @@ def simpler_fits(
     method: str,
     config: Reconstruct,
 ) -> Iterator[Reconstruction]:
-    """Fits with fewer details than an invalid one: with fewer faces, then the parametric building."""
-    for simpler in ({"detail": "low"}, {"roofs": "parametric"}):
-        (fitted,) = fitting.fit([building], config.model_copy(update=simpler), [initial], method)
-        yield fitted
+    """Fits with fewer details than an invalid one: with fewer and fewer faces, at last the parametric building."""
+    for factor in _PRICES:
+        fewer = replace(THRESHOLDS, planes=THRESHOLDS.planes.times(factor))
+        yield from fitting.fit([building], config, [initial], method, fewer)
+    yield from fitting.fit([building], config.model_copy(update={"roofs": "parametric"}), [initial], method)
 
 
 def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:
