@@ -13,6 +13,7 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
+from p2wss.fit.settings import THRESHOLDS
 from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.mesh.rules import Breach
@@ -86,13 +87,15 @@ def test_simpler_fits_have_fewer_faces_then_the_parameters_of_the_paper(
 ) -> None:
     asked = []
 
-    def fit(buildings: Any, config: Reconstruct, *_: Any) -> list[Reconstruction]:
-        asked.append((config.detail, config.roofs))
+    def fit(buildings: Any, config: Reconstruct, *others: Any) -> list[Reconstruction]:
+        thresholds = others[2] if len(others) == 3 else THRESHOLDS
+        dearer = thresholds.planes.prices.face_m3 / THRESHOLDS.planes.prices.face_m3
+        asked.append((config.detail, config.roofs, dearer))
         return [pyramid(8)]
 
     monkeypatch.setattr(fitting, "fit", fit)
-    list(simpler_fits(building(), None, "fit", Reconstruct()))
-    assert asked == [("low", "planes"), ("normal", "parametric")]
+    list(simpler_fits(building(), None, "fit", Reconstruct(detail="high")))
+    assert asked == [*(("high", "planes", factor) for factor in (2, 4, 8)), ("high", "parametric", 1)]
 
 
 def test_the_product_falls_back_to_a_flat_roof_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
