@@ -16,7 +16,7 @@ KIND = "completion"
 _SIMPLIFY_M = (0.3, 0.5, 1.0, 2.0)
 # places at which the roof is asked for: at least, at most, and one per square metre in between; swept
 _MIN_PLACES, _MAX_PLACES = 64, 200
-_HIDDEN, _EPSILON = -1e4, 1e-5
+_HIDDEN, _EPSILON, _SLACK = -1e4, 1e-5, 1e-6
 _Weights = dict[str, np.ndarray]
 
 
@@ -34,11 +34,10 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
     # of two as long as each other, the first, whatever the rounding
     along = edge_m[np.round(np.hypot(*edge_m.T), 2).argmax()]
     cos, sin = along / np.hypot(*along)
-    to_frame = np.array([[cos, -sin], [sin, cos]])
-    in_frame_m = ring_m @ to_frame
+    in_frame_m = _turned(ring_m, cos, -sin)
     low_m, high_m = in_frame_m.min(axis=0), in_frame_m.max(axis=0)
     middle_m = (low_m + high_m) / 2
-    place_m = _grid(low_m, high_m, polygon.area) @ to_frame.T
+    place_m = _turned(_grid(low_m, high_m, polygon.area), cos, sin)
     place_m = place_m[shapely.contains_xy(polygon, *place_m.T)]
     away_m = shapely.distance(polygon, shapely.points(around_m[:, :2]))
     around_m = around_m[np.argsort(away_m, kind="stable")[:MAX_AROUND]]
@@ -46,7 +45,7 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
     mean_z = point_m[:, 2].mean()
 
     def scaled(each_m: np.ndarray) -> np.ndarray:
-        flat = (each_m[:, :2] @ to_frame - middle_m) / SCALE_M
+        flat = (_turned(each_m, cos, -sin) - middle_m) / SCALE_M
         return np.column_stack([flat, (each_m[:, 2:] - mean_z) / SCALE_M])[None]
 
     every = [np.ones((1, len(each)), bool) for each in (point_m, around_m, ring_m)]
@@ -54,6 +53,12 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
         scaled(point_m), every[0], scaled(around_m), every[1], scaled(ring_m), every[2], scaled(place_m)
     )
     return np.column_stack([place_m, np.round(mean_z + SCALE_M * _median(features_of(clues)), 2)])
+
+
+def _turned(place_m: np.ndarray, cos: float, sin: float) -> np.ndarray:
+    """Places (k, 2) or (k, 3), turned in plan; without a product of matrices, which depends on the processor."""
+    x, y = place_m[:, 0], place_m[:, 1]
+    return np.column_stack([cos * x - sin * y, sin * x + cos * y])
 
 
 def _simple_ring(polygon: shapely.Polygon) -> np.ndarray | None:
@@ -68,7 +73,7 @@ def _simple_ring(polygon: shapely.Polygon) -> np.ndarray | None:
 def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
     """Places (k, 2) within a box, on a grid of which each is moved at random: GEOS fails on regular ones."""
     gap_m = (area_m2 / np.clip(area_m2, _MIN_PLACES, _MAX_PLACES)) ** 0.5
-    count = np.ceil((high_m - low_m) / gap_m).astype(int)
+    count = np.ceil((high_m - low_m) / gap_m - _SLACK).astype(int)
     step_m = (high_m - low_m) / count
     cell = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
     return low_m + (cell + np.random.default_rng(0).uniform(0.3, 0.7, cell.shape)) * step_m
