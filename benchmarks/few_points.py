@@ -27,7 +27,7 @@ from p2wss.data.building import Building, Reconstruction
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
-from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.network import reconstruct_with_network, with_supposed_roofs
 from p2wss.reconstruct.product import reconstruct_buildings
 
 _NUM_DRAWS = 3
@@ -73,10 +73,23 @@ def with_roofs_around(buildings: list[Building]) -> list[Building]:
     return result
 
 
+def only_supposed(building: Building) -> Building:
+    """A building whose points are places of the roof that the network supposes; with its own, if there are many."""
+    (supposed,) = with_supposed_roofs([building])
+    if not len(supposed.supposed_m):
+        return building
+    classes = np.full(len(supposed.supposed_m), BUILDING_CLASS, np.uint8)
+    none_m = np.zeros((0, 3))
+    return replace(
+        building, point_m=supposed.supposed_m, classification=classes, around_m=none_m, supposed_m=none_m
+    )
+
+
 def fits_of(
     buildings: list[Building], config: Reconstruct, predictor: Any, only_default: bool
 ) -> dict[str, list[Reconstruction]]:
-    """Reconstructions by each method; "fit": what the points alone show."""
+    """Reconstructions by each method; "fit": what the points show without the network; "supposed": what the network
+    says without the points."""
     default = reconstruct_buildings(buildings, None, config)
     if only_default:
         return {"default": default}
@@ -84,6 +97,7 @@ def fits_of(
     alone = [replace(each, around_m=np.zeros((0, 3))) for each in buildings]
     fits = {"fit": fitting.fit(buildings, config), "alone": fitting.fit(alone, config)}
     fits |= {"parametric": fitting.fit(buildings, parametric)}
+    fits |= {"supposed": fitting.fit([only_supposed(each) for each in buildings], config)}
     if predictor is not None:
         network = reconstruct_with_network(buildings, predictor, config)
         fits |= {"network": network, "network, parametric": fitting.fit(buildings, parametric, network)}

@@ -8,8 +8,8 @@ import numpy as np
 
 # what a building may have at most in training, and is thinned or simplified to: points on it, and around it, vertices
 MAX_POINTS, MAX_AROUND, MAX_VERTICES = 64, 24, 24
-# metres of a unit of the network
-SCALE_M = 10.0
+# metres of a unit of the network, and of the longest building in training
+SCALE_M, MAX_SIZE_M = 10.0, 90.0
 NUM_FREQUENCIES = 6
 # units: lowest frequency, and a distance that is none
 _HALF_WAVE, _FAR, _TINY = 8.0, 9.0, 1e-8

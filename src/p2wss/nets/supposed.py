@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_VERTICES, SCALE_M, Clues, Features, features_of
+from p2wss.nets.clues import (
+    MAX_AROUND,
+    MAX_POINTS,
+    MAX_SIZE_M,
+    MAX_VERTICES,
+    SCALE_M,
+    Clues,
+    Features,
+    features_of,
+)
 
 KIND = "completion"
 # metres by which footprints are simplified until they have few enough vertices
@@ -22,13 +31,14 @@ _Weights = dict[str, np.ndarray]
 
 def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.ndarray) -> np.ndarray:
     """Places (k, 3) all over a roof, at the heights that the network supposes: the median of its distribution, in whole
-    centimetres. None for a footprint of too many vertices.
+    centimetres. Empty for a footprint of too many vertices,
+    or of a size that the network has not seen.
 
     polygon: the footprint. point_m: (m, 3), on the roof, m > 0. around_m: (n, 3), on the roofs around. The
     longest edge of the footprint gives the frame, so that the result turns with the building.
     """
     ring_m = _simple_ring(polygon)
-    if ring_m is None:
+    if ring_m is None or np.ptp(ring_m, axis=0).max() > MAX_SIZE_M:
         return np.zeros((0, 3))
     edge_m = np.roll(ring_m, -1, axis=0) - ring_m
     # of two as long as each other, the first, whatever the rounding
@@ -73,7 +83,7 @@ def _simple_ring(polygon: shapely.Polygon) -> np.ndarray | None:
 def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
     """Places (k, 2) within a box, on a grid of which each is moved at random: GEOS fails on regular ones."""
     gap_m = (area_m2 / np.clip(area_m2, _MIN_PLACES, _MAX_PLACES)) ** 0.5
-    count = np.ceil((high_m - low_m) / gap_m - _SLACK).astype(int)
+    count = np.ceil(np.maximum((high_m - low_m) / gap_m - _SLACK, 1)).astype(int)
     step_m = (high_m - low_m) / count
     cell = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
     return low_m + (cell + np.random.default_rng(0).uniform(0.3, 0.7, cell.shape)) * step_m

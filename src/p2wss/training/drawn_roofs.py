@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS
-from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_VERTICES, SCALE_M, Clues
+from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_SIZE_M, MAX_VERTICES, SCALE_M, Clues
 from p2wss.towns import draw_town
 from p2wss.towns.buildings import DrawnBuilding, Wing
 from p2wss.towns.old import draw_old
@@ -25,7 +25,7 @@ KINDS = {
 }
 NUM_SAMPLES, NUM_PLACES, NUM_NEIGHBOURS, NUM_OF_NEIGHBOUR = 160, 32, 6, 16
 MIN_POINTS = 3
-_NEAR_M, _SMALL_M2, _MAX_SIZE_M = 12.0, 8.0, 90.0
+_NEAR_M, _SMALL_M2 = 12.0, 8.0
 _SIMPLIFY_M, _NOISE_M, _OVERLAP_M = 0.3, 0.04, 0.05
 
 
@@ -61,7 +61,7 @@ def _sampled(town: Sequence[DrawnBuilding], rng: np.random.Generator) -> DrawnRo
     for building in town:
         polygon = building.footprint
         ring_m = shapely.get_coordinates(shapely.get_exterior_ring(polygon.simplify(_SIMPLIFY_M)))[:-1]
-        is_large = np.ptp(ring_m, axis=0).max() > _MAX_SIZE_M
+        is_large = np.ptp(ring_m, axis=0).max() > MAX_SIZE_M
         if polygon.area < _SMALL_M2 or is_large or len(ring_m) > MAX_VERTICES:
             continue
         xy_m = _places_within(polygon, rng)

@@ -136,6 +136,10 @@ def test_too_many_vertices_and_too_many_points() -> None:
     radius_m = np.where(np.arange(90) % 2, 20, 9)[:, None]
     star = shapely.Polygon(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]))
     assert supposed_roof(star, few_points(9), np.zeros((0, 3))).shape == (0, 3)
+    long = shapely.box(0, 0, 95, 8)
+    assert supposed_roof(long, few_points(9), np.zeros((0, 3))).shape == (0, 3)
+    thin = shapely.box(0, 0, 12, 0.05)
+    assert len(supposed_roof(thin, few_points(9), np.zeros((0, 3)))) < 200
     many = supposed_roof(HOUSE, few_points(3000), few_points(500, 1) + np.array([0, 20, 0]))
     assert np.abs(many[:, 2] - gable_z(many[:, :2])).mean() < 0.1
 
