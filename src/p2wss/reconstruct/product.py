@@ -39,7 +39,7 @@ def reconstruct_buildings(
         def simpler(row: int) -> Iterator[Reconstruction]:
             return simpler_fits(buildings[row], starts[row], method, config)
 
-        if config.completion and config.roofs == "planes":
+        if predictor is None and config.completion and config.roofs == "planes":
             buildings = with_supposed_roofs(buildings)
         fits = [
             replace(fit, method=COMPLETION_AND_FIT) if len(building.supposed_m) else fit

@@ -101,7 +101,7 @@ def test_the_report_measures_the_product(
     shutil.copy(ROOT / "models/point2wss.safetensors", tmp_path / "m.safetensors")
     files = ["--manifest", tmp_path / "manifest.json", "--out", out]
     run("eval", "reconstruct", "--method", method, *files, *model)
-    run("reconstruct", cloud, footprints, tmp_path / "out", *(model or ["--model", "none"]), "--tile", TILE)
+    run("reconstruct", cloud, footprints, tmp_path / "out", *model, "--tile", TILE)
 
     measured = {key[2]: row for key, row in read_reconstructions(out)[method].items()}
     assert len(measured) == len(HOUSES) + 2 == len(products)
