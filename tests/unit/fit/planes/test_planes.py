@@ -12,6 +12,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
+from p2wss.fit.planes import lines
 from p2wss.fit.planes.arrangement import GRID_M, _pieces, arrange
 from p2wss.fit.planes.detection import RoofPlanes, _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
@@ -674,3 +675,16 @@ def test_a_fit_does_not_depend_on_the_order_of_points() -> None:
     one, other = fit_planes(rings, point_m, PLANES), fit_planes(rings, point_m[::-1], PLANES)
     assert one is not None and other is not None
     assert np.array_equal(one.plane, other.plane)
+
+
+def test_points_on_a_regular_grid_have_borders() -> None:
+    """As heights from pictures have, turned by another CRS, in whole millimetres: GEOS fails to triangulate these."""
+    x, y = np.meshgrid(np.arange(12) * 0.3, np.arange(12) * 0.3)
+    turn = np.radians(26.5)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    xy_m = np.round(np.column_stack([x.ravel(), y.ravel()]) @ rotation, 3)
+    with pytest.raises(shapely.GEOSException):
+        shapely.delaunay_triangles(shapely.MultiPoint(xy_m))
+    label = (x.ravel() > 1.7).astype(int)
+    ((pair, sides),) = lines._borders(label, np.column_stack([xy_m, label]), 0.4).items()
+    assert pair == (0, 1) and [len(side) for side in sides] == [12, 12]
