@@ -90,7 +90,8 @@ def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
     for building in buildings:
         roof_m = building.point_m[building.is_on_building]
         roof_m = roof_m[shapely.contains_xy(building.polygon, *roof_m[:, :2].T)]
-        if 0 < len(roof_m) < THRESHOLDS.known_per_m2 * building.polygon.area:
+        has_planes = len(roof_m) + len(building.around_m) >= THRESHOLDS.min_plane_points
+        if has_planes and MIN_NUM_POINTS <= len(roof_m) < THRESHOLDS.known_per_m2 * building.polygon.area:
             supposed_m = supposed_roof(building.polygon, roof_m, building.around_m)
             building = replace(building, supposed_m=supposed_m)
         result.append(building)

@@ -108,9 +108,10 @@ def _roof(wings: Sequence[Wing], xy_m: np.ndarray) -> tuple[np.ndarray, np.ndarr
         start, along, above_m, tangent = wing.planes()
         offset = xy_m[number, None] - start
         inside_m = along[:, 0] * offset[..., 1] - along[:, 1] * offset[..., 0]
-        lowest = (above_m + np.maximum(inside_m, 0) * tangent).argmin(axis=1)
-        steep = tangent[lowest] * (inside_m[np.arange(len(number)), lowest] > 0)
-        top_m = wing.eave_m + wing.rise_m(xy_m[number])
+        rise_m, row = above_m + np.maximum(inside_m, 0) * tangent, np.arange(len(number))
+        lowest = rise_m.argmin(axis=1)
+        steep = tangent[lowest] * (inside_m[row, lowest] > 0)
+        top_m = wing.eave_m + rise_m[row, lowest]
         higher = top_m > z_m[number]
         z_m[number[higher]] = top_m[higher]
         rising = np.column_stack([-along[lowest, 1], along[lowest, 0]]) * steep[:, None]

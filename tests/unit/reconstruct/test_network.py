@@ -171,8 +171,13 @@ def test_a_network_supposes_the_roof_between_few_points_only() -> None:
     assert len(many.supposed_m) == 0 and len(few.supposed_m) >= 64
     depth_m = np.minimum(few.supposed_m[:, 1], 8 - few.supposed_m[:, 1])
     assert np.abs(few.supposed_m[:, 2] - (5 + 0.8 * depth_m)).mean() < 0.3
-    (none,) = with_supposed_roofs([building(num_points=0)])
-    assert len(none.supposed_m) == 0
+    # without planes the building of the paper is fitted, which takes no supposed roof
+    for num_points in (0, 2, 4):
+        (none,) = with_supposed_roofs([gable_house(num_points)])
+        assert len(none.supposed_m) == 0
+    row_m = gable_house(30).point_m + np.array([12.0, 0.0, 0.0])
+    (in_row,) = with_supposed_roofs([replace(gable_house(4), around_m=row_m)])
+    assert len(in_row.supposed_m) >= 64
 
 
 def test_a_house_with_few_points_is_completed_unless_the_config_says_no() -> None:
