@@ -25,7 +25,7 @@ from p2wss.storage.provenance import fingerprint
 @option(
     "--batch-size", type=click.IntRange(min=2), default=1024, show_default=True, help="buildings of a batch"
 )
-@option("--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", help="where to train")
+@common.device_option
 def completion(
     out: Path,
     out_metrics: Path,

@@ -129,9 +129,9 @@ def _borders(
     rows = rows[np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)[1]]
     if len(rows) < 4:
         return {}
-    # edges keep heights: the numbers of their points
-    # GEOS fails on some regular grids, so that each is moved a little
+    # GEOS fails on some regular grids, so that each point is moved a little
     site_m = point_m[rows, :2] + np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (len(rows), 2))
+    # edges keep heights: the numbers of their points
     sites = shapely.linestrings(np.column_stack([site_m, rows]))
     edges = shapely.delaunay_triangles(sites, only_edges=True)
     link = shapely.get_coordinates(edges, include_z=True)[:, 2].astype(int).reshape(-1, 2)
