@@ -19,6 +19,7 @@ from p2wss.nets.clues import (
     Features,
     features_of,
 )
+from p2wss.nets.weights_file import read_metadata
 
 KIND = "completion"
 # metres by which footprints are simplified until they have few enough vertices
@@ -91,10 +92,11 @@ def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
 
 @cache
 def _weights() -> _Weights:
-    """Those that come with the package."""
+    """Those that come with the package. Raises :class:`InputError` for a file that is missing or broken."""
     from safetensors.numpy import load_file
 
     path = Path(str(files("p2wss"))) / "weights" / "completion.safetensors"
+    read_metadata(path, KIND)
     return {name: value.astype(float) for name, value in load_file(path).items()}
 
 
