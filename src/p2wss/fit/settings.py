@@ -207,6 +207,8 @@ class PlanePrices(NamedTuple):
     supposed_per_m2: float = 0.15
     # metres by which a roof may rise above its points, or fall below all of them
     support_m: float = 0.5
+    # metres: how far from its steps cells change where a line is dispensed with
+    around_line_m: float = 3.0
 
     def for_density(self, per_m2: float) -> PlanePrices:
         """The prices where so many points are on a square metre."""

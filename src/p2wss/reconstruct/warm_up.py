@@ -95,7 +95,7 @@ def warm_product() -> None:
     from p2wss.data.building import Building
     from p2wss.data.terrain import Terrain
     from p2wss.fit import fitting
-    from p2wss.fit.planes.labelling import Costs
+    from p2wss.fit.planes.costs import Costs, problem_of
     from p2wss.fit.settings import PlanePrices
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
@@ -114,8 +114,11 @@ def warm_product() -> None:
         building = Building("b", "sample", (0.0, 0.0), [ring], few, np.full(len(few), 6, np.uint8), 0.0)
         fitting.fit([building], config)
     # only roofs with four walls at one place, or with open ground within
-    pair, side = np.zeros((1, 2), np.int64), np.zeros((1, 1, 1))
-    costs = Costs(np.zeros((1, 1)), pair, side, side > 0, pair[0, :1], side[0, 0], PlanePrices())
+    pair, one = np.zeros((1, 2), np.int64), np.zeros(1)
+    problem = problem_of(
+        np.arange(2), pair[0, :1], one, pair, pair[0, :1], one, np.zeros((1, 2, 2)), np.zeros((1, 3)), one > 0
+    )
+    costs = Costs(problem, PlanePrices(), np.zeros((1, 2)))
     costs.total_m3(costs.faces(pair[0, :1]))
     # only one with a short edge
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))

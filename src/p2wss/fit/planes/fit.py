@@ -10,9 +10,10 @@ import shapely
 
 from p2wss.fit.directions import directions, edge_ends
 from p2wss.fit.planes.arrangement import Arrangement, arrange
+from p2wss.fit.planes.costs import Costs, candidates_of, costs_of
 from p2wss.fit.planes.detection import detect, height_over
-from p2wss.fit.planes.known import known_lines, known_planes
-from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
+from p2wss.fit.planes.known import known_lines, known_places, known_planes
+from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import OUTSIDE, at_pinch, solid_below
@@ -126,9 +127,13 @@ def fit_planes(
         of_cell = np.append(of_cell, cells.cells_at(supposed_m[:, :2]))
         supposed_m2 = area_m2 * min(settings.prices.supposed_per_m2 / density, 1.0)
         stands_m2 = np.append(stands_m2, np.full(len(supposed_m), supposed_m2 / len(supposed_m)))
-    costs = costs_of(
-        cells, plane, seen_m, of_cell, stands_m2, settings.prices.for_density(density), num_known
-    )
+    at_m, number = point_m[found.label >= 0, :2], found.label[found.label >= 0]
+    if known is not None:
+        known_m, known_number = known_places(known)
+        at_m, number = np.vstack([at_m, known_m]), np.append(number, num_found + known_number)
+    candidates = candidates_of(cells, at_m, number, seen_m[:, :2], of_cell, drawing.near_m)
+    prices = settings.prices.for_density(density)
+    costs = costs_of(cells, plane, seen_m, of_cell, stands_m2, prices, candidates, num_known)
     built = label = _without_pinches(cells, costs, least_cost(costs, num_known), plane)
     if num_open:
         built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
@@ -174,7 +179,7 @@ def _without_open_ground(
     is_open = is_low & (2 * np.bincount(face, num_open) > np.bincount(face, count))[face]
     for number in np.unique(face[is_open]).tolist():
         rest = np.where(face == number, OUTSIDE, label)
-        beside = costs.pair[(rest[costs.pair] != OUTSIDE).all(axis=1)]
+        beside = costs.problem.pair[(rest[costs.problem.pair] != OUTSIDE).all(axis=1)]
         is_one = len(np.unique(groups(len(rest), beside)[rest != OUTSIDE])) == 1
         if is_one and not at_pinch(cells, rest, plane).any():
             label = rest

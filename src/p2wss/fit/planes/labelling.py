@@ -2,336 +2,477 @@
 
 The search is that of Boykov, Veksler and Zabih (Fast Approximate Energy Minimization via Graph Cuts, 2001): each plane
 in turn takes the cells that it covers at less cost, all at once, by a minimum cut. Faces then give way to those around
-them, and lines with short steps to others, where that saves more than it costs.
+them, and lines with short steps to others, where that saves more than it costs. Such a move is a small problem of its
+own (:func:`_part`): the cells that may change, and each face around them as one cell.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.fit.planes.arrangement import Arrangement
-from p2wss.fit.planes.detection import heights
+from p2wss.fit.planes.costs import Costs, Problem, faces_of, is_step, side_m3, steps_m, total_m3
 from p2wss.fit.settings import PlanePrices
-from p2wss.skeleton.compiled import allocating, both, entry, inner
-from p2wss.skeleton.groups import grouped, groups
+from p2wss.skeleton.compiled import allocating, entry, inner
+from p2wss.skeleton.half_edges import find
 
 _MAX_ROUNDS = 4
-# metres above the ground: no roof is lower, at a price beyond all others
-_LOWEST_M, _FORBIDDEN_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
 # steps to a cell that no path reaches
 _NOT_REACHED = -1
 
 
-@dataclass(frozen=True)
-class Costs:
-    """What a labelling costs, cubic metres. cell_m3: (c, k), of each plane over each cell. pair: int (s, 2), cells side
-    by side. side_m3: (s, k, k), of planes to the left and the right of each side. is_step: bool (s, k, k), whether
-    there is a step between them. line: int (s,), the line of each side. length_m: (s,)."""
-
-    cell_m3: np.ndarray
-    pair: np.ndarray
-    side_m3: np.ndarray
-    is_step: np.ndarray
-    line: np.ndarray
-    length_m: np.ndarray
-    prices: PlanePrices
-
-    def total_m3(self, label: np.ndarray) -> float:
-        """Of planes ``label`` (c,) over the cells."""
-        return float(_total_m3(self.graph, self.prices, label))
-
-    def faces(self, label: np.ndarray) -> np.ndarray:
-        """int (c,): numbers of the connected faces."""
-        return np.asarray(_faces(self.graph, label))
-
-    def bodies(self, label: np.ndarray) -> np.ndarray:
-        """int (c,): numbers of the faces that no step divides."""
-        is_step = self.is_step[np.arange(len(self.pair)), label[self.pair[:, 0]], label[self.pair[:, 1]]]
-        return groups(len(label), self.pair[~is_step])
-
-    @cached_property
-    def graph(self) -> _Graph:
-        """For compiled code."""
-        end = np.concatenate([self.pair[:, 0], self.pair[:, 1]])
-        order = np.argsort(end, kind="stable")
-        first = np.searchsorted(end[order], np.arange(len(self.cell_m3) + 1))
-        return _Graph(
-            self.cell_m3, self.pair, self.side_m3, order, first, self.is_step, self.line, self.length_m
-        )
-
-
-def costs_of(
-    cells: Arrangement,
-    plane: np.ndarray,
-    point_m: np.ndarray,
-    of_cell: np.ndarray,
-    stands_m2: np.ndarray,
-    prices: PlanePrices,
-    num_known: int = 0,
-) -> Costs:
-    """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
-    stands_m2: (m,), the area that each point stands for. num_known: the last planes, of a known roof."""
-    num_planes, own_m, own_m2 = len(plane), point_m[of_cell >= 0], stands_m2[of_cell >= 0]
-    off_m = np.minimum(np.abs(heights(plane, own_m[:, :2]) - own_m[:, 2:]), prices.cap_m)
-    place = np.add.outer(of_cell[of_cell >= 0] * num_planes, np.arange(num_planes)).ravel()
-    off_m3 = np.bincount(place, (off_m * own_m2[:, None]).ravel(), len(cells.area_m2) * num_planes)
-    cell_m3 = np.asarray(off_m3, float).reshape(-1, num_planes)
-    low_z, high_z = cells.extremes(plane)
-    above_m, below_m = high_z - point_m[:, 2].max(), point_m[:, 2].min() - low_z
-    unsupported_m = np.clip(np.maximum(above_m, below_m) - prices.support_m, 0.0, prices.cap_m)
-    cell_m3 += cells.area_m2[:, None] * unsupported_m
-    cell_m3[low_z < _LOWEST_M] += _FORBIDDEN_M3
-    is_shared = (cells.pair >= 0).all(axis=1)
-    pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
-    end_z = np.stack([heights(plane, end_m[:, end]) for end in (0, 1)])
-    length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
-    meeting = np.full((num_planes, num_planes), prices.meet_share)
-    meeting[num_planes - num_known :, num_planes - num_known :] = prices.known_share
-    side_m3, is_step = _at_sides(end_z, length_m, meeting, prices)
-    return Costs(cell_m3, pair, side_m3, is_step, cells.line[is_shared], length_m, prices)
-
-
-@entry
-def _at_sides(
-    end_z: np.ndarray, length_m: np.ndarray, meeting: np.ndarray, prices: PlanePrices
-) -> tuple[np.ndarray, np.ndarray]:
-    """(what each pair of planes (k, 3) costs on the two hands of each side, (s, k, k); whether there is a step between
-    them, bool). end_z: (2, s, k), heights of the planes at the ends of the sides. meeting: (k, k), the share of the
-    price that planes have which meet."""
-    num = len(meeting)
-    side_m3, is_step = np.zeros((len(length_m), num, num)), np.zeros((len(length_m), num, num), np.bool_)
-    for side in range(len(length_m)):
-        for i in range(num):
-            for j in range(i):
-                first_m, last_m = (
-                    abs(end_z[0, side, i] - end_z[0, side, j]),
-                    abs(end_z[1, side, i] - end_z[1, side, j]),
-                )
-                share = meeting[i, j]
-                if max(first_m, last_m) >= prices.meet_m:
-                    is_step[side, i, j] = is_step[side, j, i] = True
-                    share = prices.small_step_share if first_m + last_m < 2 * prices.small_step_m else 1.0
-                side_m3[side, i, j] = side_m3[side, j, i] = prices.edge_m2 * length_m[side] * share
-    return side_m3, is_step
-
-
-class _Graph(NamedTuple):
-    """Costs for compiled code, and the sides of each cell. order: the ends of sides, those of the first cells of all
-    sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
-
-    cell_m3: np.ndarray
-    pair: np.ndarray
-    side_m3: np.ndarray
-    order: np.ndarray
-    first: np.ndarray
-    is_step: np.ndarray
-    line: np.ndarray
-    length_m: np.ndarray
-
-
 def least_cost(costs: Costs, num_known: int = 0) -> np.ndarray:
-    """int (c,): the plane over each cell. If so many of the last planes are known, the search begins with these."""
-    graph = costs.graph._replace(side_m3=costs.side_m3.copy())
-    return np.asarray(_least_cost(graph, costs.side_m3, costs.prices, num_known))
+    """int (c,): the plane over each cell. If the last ``num_known`` planes are known, the search begins with these."""
+    first_known = len(costs.problem.plane) - num_known if num_known else 0
+    # lines are barred on the way
+    problem = costs.problem._replace(is_barred=costs.problem.is_barred.copy())
+    return np.asarray(_least_cost(problem, costs.prices, costs.middle_m, first_known))
 
 
 @entry
-def _least_cost(graph: _Graph, side_m3: np.ndarray, prices: PlanePrices, num_known: int) -> np.ndarray:
-    """The same. side_m3: of all sides; in the graph, which has a copy, steps are forbidden on lines that are dispensed
-    with."""
-    label, every = np.zeros(len(graph.cell_m3), np.int64), np.ones(len(graph.cell_m3), np.bool_)
-    number = np.arange(graph.cell_m3.shape[1])
-    label = _relabelled(graph, label, every, number >= (len(number) - num_known) % len(number))
-    if num_known > 0:
-        label = _expanded(graph, label, every, number >= 0)
-    label, total_m3 = _with_fewer_faces(graph, prices, label, every)
-    is_tried = _steps_m(graph, label) < 0
+def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, first_known: int) -> np.ndarray:
+    """The same. middle_m: (c, 2). first_known: the first plane of those with which the search begins."""
+    choice = _relabelled(problem, prices, first_known)
+    if first_known > 0:
+        choice = _expanded(problem, prices, choice, 0)
+    choice = _with_fewer_faces(problem, prices, choice)
+    label, slots = problem.number[choice], _slots(problem)
+    length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
+    is_tried = length_m < 0
+    begin, by_line = _sorted_by(problem.line, len(length_m))
     while True:
-        steps_m = _steps_m(graph, label)
-        short = np.flatnonzero((steps_m > 0) & (steps_m < prices.short_line_m) & ~is_tried)
+        short = np.flatnonzero((length_m > 0) & (length_m < prices.short_line_m) & ~is_tried)
         if not len(short):
             return label
-        line = short[steps_m[short].argmin()]
-        is_tried[line], on_line = True, np.flatnonzero(graph.line == line)
-        face = _faces(graph, label)
-        beside = np.zeros(len(label), np.bool_)
-        for side in on_line:
-            one, other = graph.pair[side]
-            if graph.is_step[side, label[one], label[other]]:
-                beside[face[one]] = beside[face[other]] = True
-            graph.side_m3[side] += _FORBIDDEN_M3 * graph.is_step[side]
-        other_label = _relabelled(graph, label, beside[face], number >= 0)
-        other_label, other_m3 = _with_fewer_faces(graph, prices, other_label, beside[face])
-        if other_m3 < total_m3 - _GAIN_M3:
-            label, total_m3 = other_label, other_m3
-        else:
-            for side in on_line:
-                graph.side_m3[side] = side_m3[side]
+        line = short[length_m[short].argmin()]
+        is_tried[line], sides = True, by_line[begin[line] : begin[line + 1]]
+        cells = _around_steps(problem, prices, middle_m, label, face, sides)
+        faces = _Faces(face, np.arange(len(face)), length_m)
+        part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, True, slots)
+        before_m3 = total_m3(part, prices, old)
+        part.is_barred[lines == line] = True
+        new = _with_fewer_faces(part, prices, _relabelled(part, prices, 0))
+        if total_m3(part, prices, new) < before_m3 - _GAIN_M3:
+            choice[cells], problem.is_barred[line] = origin[new[: len(cells)]], True
+            label = problem.number[choice]
+            length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
 
 
 @allocating
-def _with_fewer_faces(
-    graph: _Graph, prices: PlanePrices, label: np.ndarray, is_inside: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """The labels (c,) after some cells, bool (c,), have got the planes of least cost, and faces of such cells have
-    given way to those around them, the smallest first; and what they cost."""
-    every = np.ones(graph.cell_m3.shape[1], np.bool_)
-    total_m3 = _total_m3(graph, prices, label)
-    # the planes of faces that have been tried, -1 over other cells
-    tried, num_tried = np.empty((8, len(label)), np.int64), 0
-    while True:
-        face, is_better = _faces(graph, label), False
-        size = np.bincount(face)
-        is_open = np.bincount(face[is_inside], minlength=len(size)) == size
-        while is_open.any() and not is_better:
-            number = np.where(is_open, size, len(label) + 1).argmin()
-            is_open[number], is_new = False, True
-            if num_tried == len(tried):
-                tried = np.concatenate((tried, np.empty_like(tried)))
-            tried[num_tried] = np.where(face == number, label, -1)
-            for t in range(num_tried):
-                is_new &= (tried[t] != tried[num_tried]).any()
-            if is_new:
-                num_tried += 1
-                simpler = _relabelled(graph, label, face == number, ~every)
-                simpler_m3 = _total_m3(graph, prices, simpler)
-                if simpler_m3 < total_m3 - _GAIN_M3:
-                    label, total_m3, is_better = simpler, simpler_m3, True
-        if not is_better:
-            return label, total_m3
-
-
-@both
-def _total_m3(graph: _Graph, prices: PlanePrices, label: np.ndarray) -> float:
-    """What planes over the cells cost."""
-    num_faces = _faces(graph, label).max() + 1
-    num_lines = np.minimum(_steps_m(graph, label) / prices.whole_line_m, 1.0).sum()
-    total_m3 = _sum(graph.cell_m3, graph.pair, graph.side_m3, label)
-    return total_m3 + prices.face_m3 * num_faces + prices.line_m3 * num_lines
-
-
-@allocating
-def _steps_m(graph: _Graph, label: np.ndarray) -> np.ndarray:
-    """(l,): how much of each line has steps."""
-    result = np.zeros(graph.line.max() + 1 if len(graph.line) else 0)
-    for side, line in enumerate(graph.line):
-        if graph.is_step[side, label[graph.pair[side, 0]], label[graph.pair[side, 1]]]:
-            result[line] += graph.length_m[side]
-    return result
-
-
-@both
-def _faces(graph: _Graph, label: np.ndarray) -> np.ndarray:
-    """int (c,): numbers of the connected faces, in the order of their first cells."""
-    link = graph.pair.copy()
-    for side in range(len(link)):
-        if label[link[side, 0]] != label[link[side, 1]]:
-            link[side, 1] = link[side, 0]
-    return grouped(len(label), link)
-
-
-@allocating
-def _relabelled(graph: _Graph, label: np.ndarray, is_inside: np.ndarray, is_used: np.ndarray) -> np.ndarray:
-    """The labels (c,) after some cells, bool (c,), have got planes that are used, bool (k,), or around them."""
-    cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
-    least_m3, is_around, result = cell_m3.copy(), is_used.copy(), label.copy()
-    for side in range(len(pair)):
-        one, other = pair[side, 0], pair[side, 1]
-        if is_inside[one] and not is_inside[other]:
-            least_m3[one] += side_m3[side, :, label[other]]
-            is_around[label[other]] = True
-        elif is_inside[other] and not is_inside[one]:
-            least_m3[other] += side_m3[side, label[one]]
-            is_around[label[one]] = True
-    for cell in np.flatnonzero(is_inside):
-        best_m3 = np.inf
-        for number in np.flatnonzero(is_around):
-            if least_m3[cell, number] < best_m3:
-                best_m3, result[cell] = least_m3[cell, number], number
-    return _expanded(graph, result, is_inside, is_around)
-
-
-@allocating
-def _expanded(graph: _Graph, label: np.ndarray, is_free: np.ndarray, is_used: np.ndarray) -> np.ndarray:
-    """The labels (c,) after planes, those of bool (k,), have taken cells in turn, those of bool (c,), as long as that
-    saves something, without the prices of faces."""
-    cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
-    label, candidate = label.copy(), label.copy()
-    total_m3 = _sum(cell_m3, pair, side_m3, label)
-    for _ in range(_MAX_ROUNDS):
-        before_m3 = total_m3
-        for number in np.flatnonzero(is_used):
-            is_taken = _taken(graph, label, is_free, number)
-            candidate[:] = np.where(is_taken, number, label)
-            candidate_m3 = _sum(cell_m3, pair, side_m3, candidate)
-            if candidate_m3 < total_m3 - _GAIN_M3:
-                label[:], total_m3 = candidate, candidate_m3
-        if total_m3 == before_m3:
-            break
-    return label
+def _around_steps(
+    problem: Problem,
+    prices: PlanePrices,
+    middle_m: np.ndarray,
+    label: np.ndarray,
+    face: np.ndarray,
+    sides: np.ndarray,
+) -> np.ndarray:
+    """The cells around the steps on some sides: of the faces beside these, as far as the steps may move."""
+    is_beside = np.zeros(len(label), np.bool_)
+    cells, num, start = np.empty(len(label), np.int64), 0, np.full(len(label), -1)
+    for side in sides:
+        one, other = problem.pair[side]
+        if is_step(problem, prices, side, label[one], label[other]):
+            for cell in (one, other):
+                is_beside[face[cell]] = True
+                if start[cell] < 0:
+                    start[cell], cells[num], num = cell, cell, num + 1
+    reached = 0
+    while reached < num:
+        cell, reached = cells[reached], reached + 1
+        for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+            other = beside(problem, way)
+            if start[other] < 0 and is_beside[face[other]]:
+                x, y = middle_m[other] - middle_m[start[cell]]
+                if x * x + y * y < prices.around_line_m**2:
+                    start[other], cells[num], num = start[cell], other, num + 1
+    return cells[:num].copy()
 
 
 @inner
-def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.ndarray) -> float:
-    """What labels cost, without the prices of faces."""
-    total_m3 = 0.0
-    for cell in range(len(label)):
-        total_m3 += cell_m3[cell, label[cell]]
-    for side in range(len(pair)):
-        total_m3 += side_m3[side, label[pair[side, 0]], label[pair[side, 1]]]
-    return total_m3
+def beside(problem: Problem, way: int) -> int:
+    """The cell at the other hand of the side of a ``way``, an element of ``side_end``."""
+    num_sides = len(problem.pair)
+    return problem.pair[way, 1] if way < num_sides else problem.pair[way - num_sides, 0]
+
+
+class _Slots(NamedTuple):
+    """The number in a part of each cell, face, line and plane of its problem; -1 for none, and for all between parts.
+    is_around: (k,), whether a plane is one of those around the part."""
+
+    cell: np.ndarray
+    face: np.ndarray
+    line: np.ndarray
+    plane: np.ndarray
+    is_around: np.ndarray
 
 
 @allocating
-def _taken(graph: _Graph, label: np.ndarray, is_free: np.ndarray, number: int) -> np.ndarray:
-    """bool (c,): the cells, of those that are free, that plane ``number`` takes at least cost in all.
+def _slots(problem: Problem) -> _Slots:
+    num_cells, num_planes = len(problem.first) - 1, len(problem.plane)
+    return _Slots(
+        np.full(num_cells, -1),
+        np.full(num_cells, -1),
+        np.full(len(problem.is_barred), -1),
+        np.full(num_planes, -1),
+        np.zeros(num_planes, np.bool_),
+    )
+
+
+class _Faces(NamedTuple):
+    """The faces of a choice. of_cell: (c,), a number for each cell, which may have been merged into another one since:
+    :func:`find` in ``merged`` tells. length_m: (l,), steps of each line."""
+
+    of_cell: np.ndarray
+    merged: np.ndarray
+    length_m: np.ndarray
+
+
+@allocating
+def _part(
+    problem: Problem,
+    prices: PlanePrices,
+    choice: np.ndarray,
+    faces: _Faces,
+    cells: np.ndarray,
+    takes_all: bool,
+    slots: _Slots,
+) -> tuple[Problem, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(the problem of some cells alone, its choice today, its candidates and lines as the problem numbers them, a cell
+    of each face around). takes_all: its cells keep all their candidates, not only planes around them.
+
+    The choice today is of further candidates, behind those of all cells, as it may be of planes that are not around.
+    """
+    num_free, num_sides = len(cells), len(problem.pair)
+    num_ends = 0
+    for k, cell in enumerate(cells):
+        slots.cell[cell] = k
+        num_ends += problem.side_first[cell + 1] - problem.side_first[cell]
+    side, pair, num = np.empty(num_ends, np.int64), np.empty((num_ends, 2), np.int64), 0
+    around, num_around = np.empty(num_ends, np.int64), 0
+    for k, cell in enumerate(cells):
+        for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+            outside = beside(problem, way)
+            other = slots.cell[outside]
+            if other < 0:
+                number = find(faces.merged, faces.of_cell[outside])
+                if slots.face[number] < 0:
+                    slots.face[number], around[num_around], num_around = num_around, outside, num_around + 1
+                other = num_free + slots.face[number]
+            elif way >= num_sides:
+                continue
+            side[num], pair[num, 0], pair[num, 1], num = way % num_sides, k, other, num + 1
+    side, pair, around = side[:num].copy(), pair[:num].copy(), around[:num_around].copy()
+    for cell in cells:
+        slots.cell[cell] = -1
+    for cell in around:
+        slots.face[find(faces.merged, faces.of_cell[cell])] = -1
+        slots.is_around[problem.number[choice[cell]]] = True
+    # of all cells the present planes, then those that may be chosen
+    everything = np.concatenate((cells, around))
+    planes, num_planes, num_candidates = np.empty(len(slots.plane), np.int64), 0, num_around
+    for cell in everything:
+        number = problem.number[choice[cell]]
+        if slots.plane[number] < 0:
+            slots.plane[number], planes[num_planes], num_planes = 0, number, num_planes + 1
+    for cell in cells:
+        for number in problem.number[problem.first[cell] : problem.first[cell + 1]]:
+            if takes_all or slots.is_around[number]:
+                num_candidates += 1
+                if slots.plane[number] < 0:
+                    slots.plane[number], planes[num_planes], num_planes = 0, number, num_planes + 1
+    planes = np.sort(planes[:num_planes])
+    slots.plane[planes] = np.arange(num_planes)
+    first, origin = np.zeros(len(everything) + 1, np.int64), np.empty(num_candidates + num_free, np.int64)
+    of_cell, count = np.empty(num_candidates + num_free, np.int64), 0
+    for k, cell in enumerate(everything):
+        for t in range(problem.first[cell], problem.first[cell + 1]):
+            is_own = t == choice[cell] if k >= num_free else takes_all or slots.is_around[problem.number[t]]
+            if is_own:
+                origin[count], of_cell[count], count = t, k, count + 1
+        first[k + 1] = count
+    origin[count:], of_cell[count:] = choice[cells], np.arange(num_free)
+    number, cell_m3 = slots.plane[problem.number[origin]], problem.cell_m3[origin]
+    old = np.concatenate((np.arange(count, count + num_free), first[num_free:-1]))
+    slots.plane[planes], slots.is_around[planes] = -1, False
+    # lines, and what steps each has elsewhere
+    line, lines, outside_m, num_lines = problem.line[side], np.empty(num, np.int64), np.empty(num), 0
+    for k in range(num):
+        if slots.line[line[k]] < 0:
+            slots.line[line[k]], lines[num_lines] = num_lines, line[k]
+            outside_m[num_lines], num_lines = faces.length_m[line[k]], num_lines + 1
+        line[k] = slots.line[line[k]]
+        one, other = planes[number[old[pair[k, 0]]]], planes[number[old[pair[k, 1]]]]
+        if is_step(problem, prices, side[k], one, other):
+            outside_m[line[k]] -= problem.length_m[side[k]]
+    lines = lines[:num_lines].copy()
+    slots.line[lines] = -1
+    plane_first, by_plane = _sorted_by(number[:count], num_planes)
+    ends = np.empty(2 * num, np.int64)
+    ends[:num], ends[num:] = pair[:, 0], pair[:, 1]
+    side_first, side_end = _sorted_by(ends, len(everything))
+    part = Problem(
+        first,
+        number,
+        of_cell,
+        cell_m3,
+        plane_first,
+        by_plane,
+        num_free,
+        pair,
+        side_first,
+        side_end,
+        line,
+        problem.length_m[side],
+        problem.end_m[side],
+        problem.plane[planes],
+        problem.is_known[planes],
+        np.maximum(outside_m[:num_lines], 0.0),
+        problem.is_barred[lines],
+    )
+    return part, old, origin, lines, around
+
+
+@allocating
+def _sorted_by(number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """(where the places of each number below ``size`` begin, (size + 1,); places, ascending)."""
+    first, result = np.zeros(size + 1, np.int64), np.empty(len(number), np.int64)
+    for each in number:
+        first[each + 1] += 1
+    first = np.cumsum(first)
+    free = first.copy()
+    for k, each in enumerate(number):
+        result[free[each]] = k
+        free[each] += 1
+    return first, result
+
+
+@allocating
+def _with_fewer_faces(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> np.ndarray:
+    """The choice (c,) after faces of free cells have given way to those around them, the smallest first, where that
+    saves something. A face that does not is tried again when it has changed."""
+    num_cells, choice, slots = len(choice), choice.copy(), _slots(problem)
+    number_of = faces_of(problem, problem.number[choice])
+    # a face has the number of one of its cells, and its cells follow each other in a circle
+    following, first = np.arange(num_cells), np.full(num_cells, -1)
+    of_cell, size = np.empty(num_cells, np.int64), np.zeros(num_cells, np.int64)
+    is_open, is_fixed = np.zeros(num_cells, np.bool_), np.zeros(num_cells, np.bool_)
+    for cell in range(num_cells):
+        if first[number_of[cell]] < 0:
+            first[number_of[cell]] = cell
+        face = first[number_of[cell]]
+        of_cell[cell], is_open[face] = face, True
+        size[face] += 1
+        is_fixed[face] |= cell >= problem.num_free
+        following[cell], following[face] = (following[face], cell) if cell != face else (cell, cell)
+    faces = _Faces(of_cell, np.arange(num_cells), steps_m(problem, prices, problem.number[choice]))
+    while True:
+        pending = np.flatnonzero(is_open & ~is_fixed)
+        if not len(pending):
+            return choice
+        for face in pending[np.argsort(size[pending], kind="mergesort")]:
+            is_alive = is_open[face] and not is_fixed[face]
+            is_open[face] = False
+            if not is_alive or of_cell[face] != face or faces.merged[face] != face:
+                continue
+            cells, cell = np.empty(size[face], np.int64), face
+            for k in range(len(cells)):
+                cells[k], cell = cell, following[cell]
+            part, old, origin, lines, around = _part(problem, prices, choice, faces, cells, False, slots)
+            if (part.first[1 : len(cells) + 1] == part.first[: len(cells)]).any():
+                continue
+            new = _relabelled(part, prices, 0)
+            if total_m3(part, prices, new) >= total_m3(part, prices, old) - _GAIN_M3:
+                continue
+            choice[cells] = origin[new[: len(cells)]]
+            faces.length_m[lines] = steps_m(part, prices, part.number[new])
+            group = faces_of(part, part.number[new])
+            head = np.full(len(new), -1)
+            for k, cell in enumerate(around):
+                one, other = head[group[len(cells) + k]], find(faces.merged, of_cell[cell])
+                if one < 0:
+                    head[group[len(cells) + k]] = other
+                elif one != other:
+                    faces.merged[other], is_fixed[one] = one, is_fixed[one] or is_fixed[other]
+                    following[one], following[other] = following[other], following[one]
+                    size[one] += size[other]
+            for k, cell in enumerate(cells):
+                whole = head[group[k]]
+                if whole < 0:
+                    whole = head[group[k]] = cell
+                    faces.merged[cell], is_fixed[cell], size[cell] = cell, False, 0
+                of_cell[cell], is_open[whole] = whole, True
+                size[whole] += 1
+                following[cell], following[whole] = (
+                    (following[whole], cell) if cell != whole else (cell, cell)
+                )
+
+
+@allocating
+def _relabelled(problem: Problem, prices: PlanePrices, first_plane: int) -> np.ndarray:
+    """The choice (c,) of planes from ``first_plane`` on, where there are some, that is best for each cell, and then
+    expanded."""
+    result = problem.first[:-1].copy()
+    for cell in range(problem.num_free):
+        begin, end = problem.first[cell], problem.first[cell + 1]
+        if problem.number[end - 1] >= first_plane:
+            while problem.number[begin] < first_plane:
+                begin += 1
+        least_m3 = np.inf
+        for t in range(begin, end):
+            m3 = problem.cell_m3[t]
+            for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+                other = beside(problem, way)
+                if other >= problem.num_free:
+                    fixed = problem.number[problem.first[other]]
+                    m3 += side_m3(problem, prices, way % len(problem.pair), problem.number[t], fixed)
+            if m3 < least_m3:
+                least_m3, result[cell] = m3, t
+    return _expanded(problem, prices, result, first_plane)
+
+
+@allocating
+def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_plane: int) -> np.ndarray:
+    """The choice (c,) after planes from ``first_plane`` on have taken free cells in turn, as long as that saves
+    something, without the prices of faces and lines."""
+    choice, work = choice.copy(), _work(problem)
+    # when a cell, or one beside, has last changed
+    changed, time = np.zeros(len(choice), np.int64), 1
+    tried = np.full(len(problem.plane), -1)
+    for _ in range(_MAX_ROUNDS):
+        before = time
+        for plane in range(first_plane, len(problem.plane)):
+            own = problem.by_plane[problem.plane_first[plane] : problem.plane_first[plane + 1]]
+            cells, num, is_new = work.cells, 0, False
+            for t in own:
+                cell = problem.of_cell[t]
+                if cell < problem.num_free:
+                    is_new |= changed[cell] > tried[plane]
+                    if choice[cell] != t:
+                        work.candidate[cell], cells[num], num = t, cell, num + 1
+            if not is_new or num == 0:
+                continue
+            tried[plane] = time
+            num = _taken(problem, prices, choice, plane, num, work)
+            if num == 0:
+                continue
+            time += 1
+            for cell in cells[:num]:
+                choice[cell], changed[cell] = work.candidate[cell], time
+                for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+                    changed[beside(problem, way)] = time
+        if time == before:
+            break
+    return choice
+
+
+class _Work(NamedTuple):
+    """Of :func:`_taken`. cells: those that may be taken, then those that are. candidate: of each of them that of the
+    plane. is_in: bool (c,), whether a cell is one of them. need_m3: what a cell still costs if it is taken; below 0,
+    what it saves. rest_m3: (2 s,), what remains of the capacity of each way. level: steps from the nearest start.
+    place: which of its ways a cell tries next."""
+
+    cells: np.ndarray
+    candidate: np.ndarray
+    is_in: np.ndarray
+    need_m3: np.ndarray
+    rest_m3: np.ndarray
+    level: np.ndarray
+    place: np.ndarray
+    queue: np.ndarray
+    path: np.ndarray
+
+
+@allocating
+def _work(problem: Problem) -> _Work:
+    num, num_ways = len(problem.first) - 1, len(problem.side_end)
+    return _Work(
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+        np.zeros(num, np.bool_),
+        np.empty(num),
+        np.empty(num_ways),
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+    )
+
+
+@inner
+def _taken(
+    problem: Problem, prices: PlanePrices, choice: np.ndarray, plane: int, num: int, work: _Work
+) -> int:
+    """How many of the first ``num`` cells of the work, which come to be the first there, a plane takes at least cost
+    in all; 0 if that saves nothing.
 
     This is a minimum cut by blocking flows (Dinic, 1970); those cells are taken that a path still reaches in the end.
     """
-    cell_m3, pair, side_m3, order, first = graph.cell_m3, graph.pair, graph.side_m3, graph.order, graph.first
-    num_cells, num_sides = len(label), len(pair)
-    # steps from the nearest start; which of its sides a cell tries next
-    level, place = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
-    queue, path = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
-    # what a cell still costs if it is taken; below 0, what it saves
-    need_m3 = np.empty(num_cells)
-    # what remains of the capacity of a side, in both directions
-    rest_m3 = np.zeros(2 * num_sides)
-    for cell in range(num_cells):
-        need_m3[cell] = cell_m3[cell, number] - cell_m3[cell, label[cell]] if is_free[cell] else 0.0
-    for side in range(num_sides):
-        one, other = pair[side, 0], pair[side, 1]
-        neither = side_m3[side, label[one], label[other]]
-        only_other, only_one = side_m3[side, label[one], number], side_m3[side, number, label[other]]
-        if is_free[one]:
-            need_m3[one] += only_one - neither
-            if is_free[other]:
+    num_sides, number, cells, is_in = len(problem.pair), problem.number, work.cells, work.is_in
+    need_m3, rest_m3, level = work.need_m3, work.rest_m3, work.level
+    for cell in cells[:num]:
+        is_in[cell] = True
+        need_m3[cell] = problem.cell_m3[work.candidate[cell]] - problem.cell_m3[choice[cell]]
+    for cell in cells[:num]:
+        for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+            side, other, own = way % num_sides, beside(problem, way), number[choice[cell]]
+            theirs = number[choice[other]]
+            only_one = side_m3(problem, prices, side, plane, theirs)
+            neither = side_m3(problem, prices, side, own, theirs)
+            if not is_in[other]:
+                need_m3[cell] += only_one - neither
+            elif way < num_sides:
+                only_other = side_m3(problem, prices, side, own, plane)
+                need_m3[cell] += only_one - neither
                 need_m3[other] -= only_one
                 # a bound where two planes side by side cost more than both by way of a third one
-                rest_m3[side + num_sides] = max(only_other + only_one - neither, 0.0)
-        elif is_free[other]:
-            need_m3[other] += only_other - neither
+                rest_m3[way], rest_m3[way + num_sides] = 0.0, max(only_other + only_one - neither, 0.0)
+    _cut(problem, num, work)
+    gain_m3 = 0.0
+    for cell in cells[:num]:
+        is_in[cell] = level[cell] != _NOT_REACHED
+    num_taken = 0
+    for cell in cells[:num]:
+        if not is_in[cell]:
+            continue
+        cells[num_taken], num_taken = cell, num_taken + 1
+        gain_m3 += problem.cell_m3[choice[cell]] - problem.cell_m3[work.candidate[cell]]
+        for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+            side, other, own = way % num_sides, beside(problem, way), number[choice[cell]]
+            theirs = number[choice[other]]
+            if not is_in[other]:
+                gain_m3 -= side_m3(problem, prices, side, plane, theirs)
+            elif way >= num_sides:
+                continue
+            gain_m3 += side_m3(problem, prices, side, own, theirs)
+    for cell in cells[:num_taken]:
+        is_in[cell] = False
+    return num_taken if gain_m3 > _GAIN_M3 else 0
+
+
+@inner
+def _cut(problem: Problem, num: int, work: _Work) -> None:
+    """Sends as much as possible from cells that save to those that cost."""
+    num_sides, level, place, queue, path = len(problem.pair), work.level, work.place, work.queue, work.path
+    need_m3, rest_m3 = work.need_m3, work.rest_m3
     while True:
         head, tail, meets = 0, 0, False
-        for cell in range(num_cells):
-            level[cell], place[cell] = _NOT_REACHED, first[cell]
+        for cell in work.cells[:num]:
+            level[cell], place[cell] = _NOT_REACHED, problem.side_first[cell]
             if need_m3[cell] < -_GAIN_M3:
                 level[cell], queue[tail], tail = 0, cell, tail + 1
         num_starts = tail
         while head < tail:
             cell, head = queue[head], head + 1
             meets |= need_m3[cell] > _GAIN_M3
-            for way in order[first[cell] : first[cell + 1]]:
-                beside = pair[way, 1] if way < num_sides else pair[way - num_sides, 0]
-                if level[beside] == _NOT_REACHED and rest_m3[way] > _GAIN_M3:
-                    level[beside], queue[tail], tail = level[cell] + 1, beside, tail + 1
+            for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+                other = beside(problem, way)
+                if work.is_in[other] and level[other] == _NOT_REACHED and rest_m3[way] > _GAIN_M3:
+                    level[other], queue[tail], tail = level[cell] + 1, other, tail + 1
         if not meets:
-            return level != _NOT_REACHED
+            return
         for start in queue[:num_starts]:
             cell, depth = start, 0
             while need_m3[start] < -_GAIN_M3:
@@ -345,17 +486,17 @@ def _taken(graph: _Graph, label: np.ndarray, is_free: np.ndarray, number: int) -
                     need_m3[cell] -= flow_m3
                     need_m3[start] += flow_m3
                     cell, depth = start, 0
-                elif place[cell] < first[cell + 1]:
-                    way = order[place[cell]]
-                    beside = pair[way, 1] if way < num_sides else pair[way - num_sides, 0]
-                    if rest_m3[way] > _GAIN_M3 and level[beside] == level[cell] + 1:
-                        cell, path[depth], depth = beside, way, depth + 1
+                elif place[cell] < problem.side_first[cell + 1]:
+                    way = problem.side_end[place[cell]]
+                    other = beside(problem, way)
+                    if work.is_in[other] and rest_m3[way] > _GAIN_M3 and level[other] == level[cell] + 1:
+                        cell, path[depth], depth = other, way, depth + 1
                     else:
                         place[cell] += 1
                 elif depth:
                     depth -= 1
                     way = path[depth]
-                    cell = pair[way, 0] if way < num_sides else pair[way - num_sides, 1]
+                    cell = problem.pair[way, 0] if way < num_sides else problem.pair[way - num_sides, 1]
                     place[cell] += 1
                 else:
                     break

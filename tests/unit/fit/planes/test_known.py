@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cell_costs import all_costs
 
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.planes.known import known_lines, known_planes
-from p2wss.fit.planes.labelling import Costs, least_cost
+from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import ends_of
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
@@ -67,16 +68,8 @@ def test_few_points_on_a_known_roof_give_that_roof_and_what_else_they_show() -> 
 
 def test_the_search_begins_with_the_known_planes() -> None:
     """Two cells, which each plane covers at the same cost."""
-    differs = (1 - np.eye(4))[None] > 0
-    costs = Costs(
-        np.array([[1.0, 2.0, 1.0, 2.0], [1.0, 2.0, 1.0, 2.0]]),
-        np.array([[0, 1]]),
-        1.0 * differs,
-        differs,
-        np.zeros(1, int),
-        np.ones(1),
-        PLANES.prices,
-    )
+    cell_m3, pair = np.array([[1.0, 2.0, 1.0, 2.0], [1.0, 2.0, 1.0, 2.0]]), np.array([[0, 1]])
+    costs = all_costs(cell_m3, pair, np.ones(1), PLANES.prices)
     assert least_cost(costs).tolist() == [0, 0]
     assert least_cost(costs, 2).tolist() == [2, 2]
     assert least_cost(costs, 1).tolist() == [0, 0]

@@ -1,0 +1,418 @@
+"""What it costs to cover cells with planes: residuals, and prices of faces, edges and lines.
+
+A plane is a candidate for the cells near its points, and further away where nothing is seen. What two planes cost side
+by side follows from their heights at the ends of the side, and is computed where it is asked. So memory and time grow
+with the cells and the planes around each, not with all planes there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from p2wss.fit.planes.arrangement import Arrangement
+from p2wss.fit.settings import PlanePrices
+from p2wss.skeleton.compiled import allocating, both, entry, inner
+from p2wss.skeleton.groups import grouped, groups
+from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.types import writable
+
+# metres above the ground: no roof is lower, at a price beyond all others
+_LOWEST_M, FORBIDDEN_M3 = 0.3, 1e4
+# planes are candidates where their points are within the first figure, in multiples of the distance within which
+# planes have a border, and twice as far as any point; at most so many, the nearest
+_REACH, _MAX_CANDIDATES = 2.0, 32
+_UNSEEN_REACH = 2.0
+
+
+class Problem(NamedTuple):
+    """Cells, their candidates, and the sides between cells, for compiled code.
+
+    A *candidate* is a pair of a cell and a plane. Those of cell c are ``first[c]:first[c + 1]``, planes ascending;
+    those of plane p are ``by_plane[plane_first[p]:plane_first[p + 1]]``. A choice, int (c,), is a candidate of each
+    cell.
+
+    number, of_cell, cell_m3: (n,), plane, cell and cost of each candidate. num_free: the first cells, which may
+    change; each further one stands for a face around these. pair: (s, 2), cells side by side. side_first: (c + 1,),
+    where the ends of sides of each cell begin in ``side_end`` (2 s,): numbers of sides, plus s at their second cells.
+    line, length_m: (s,). end_m: (s, 2, 2), ends of sides. plane: (k, 3). is_known: (k,), of a known roof. outside_m,
+    is_barred: (l,), the steps that a line has elsewhere, and whether it may have none.
+    """
+
+    first: np.ndarray
+    number: np.ndarray
+    of_cell: np.ndarray
+    cell_m3: np.ndarray
+    plane_first: np.ndarray
+    by_plane: np.ndarray
+    num_free: int
+    pair: np.ndarray
+    side_first: np.ndarray
+    side_end: np.ndarray
+    line: np.ndarray
+    length_m: np.ndarray
+    end_m: np.ndarray
+    plane: np.ndarray
+    is_known: np.ndarray
+    outside_m: np.ndarray
+    is_barred: np.ndarray
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What planes over cells cost, cubic metres. middle_m: (c, 2), a place within each cell."""
+
+    problem: Problem
+    prices: PlanePrices
+    middle_m: np.ndarray
+
+    def total_m3(self, label: np.ndarray) -> float:
+        """Of planes ``label`` (c,) over the cells; beyond all else for each that is no candidate."""
+        choice = np.asarray(_choice_of(self.problem, np.asarray(label, np.int64)))
+        total_m3 = _total_m3(self.problem, self.prices, np.maximum(choice, 0))
+        return float(total_m3) + FORBIDDEN_M3 * np.count_nonzero(choice < 0)
+
+    def faces(self, label: np.ndarray) -> np.ndarray:
+        """int (c,): numbers of the connected faces."""
+        pair = self.problem.pair
+        return groups(len(label), pair[label[pair[:, 0]] == label[pair[:, 1]]])
+
+    def bodies(self, label: np.ndarray) -> np.ndarray:
+        """int (c,): numbers of the faces that no step divides."""
+        is_step = _steps_of(self.problem, self.prices, np.asarray(label, np.int64))
+        return groups(len(label), self.problem.pair[~is_step])
+
+
+def costs_of(
+    cells: Arrangement,
+    plane: np.ndarray,
+    point_m: np.ndarray,
+    of_cell: np.ndarray,
+    stands_m2: np.ndarray,
+    prices: PlanePrices,
+    candidates: tuple[np.ndarray, np.ndarray],
+    num_known: int = 0,
+) -> Costs:
+    """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
+    stands_m2: (m,), the area that each point stands for. candidates: of :func:`candidates_of`. num_known: the last
+    planes, of a known roof."""
+    order = np.argsort(of_cell, kind="stable")
+    order = order[np.searchsorted(of_cell[order], 0) :]
+    begin = np.searchsorted(of_cell[order], np.arange(len(cells.area_m2) + 1))
+    first, number = candidates
+    cell_m3 = _cell_costs(
+        first,
+        number,
+        writable(plane, np.float64),
+        point_m[order],
+        stands_m2[order],
+        begin,
+        writable(cells.area_m2, np.float64),
+        *_vertices_of(cells),
+        writable(cells.xy_m, np.float64),
+        float(point_m[:, 2].min()),
+        float(point_m[:, 2].max()),
+        prices,
+    )
+    is_shared = (cells.pair >= 0).all(axis=1)
+    end_m = cells.xy_m[cells.side[is_shared]]
+    return Costs(
+        problem_of(
+            first,
+            number,
+            np.asarray(cell_m3),
+            cells.pair[is_shared],
+            cells.line[is_shared],
+            np.hypot(*(end_m[:, 1] - end_m[:, 0]).T),
+            end_m,
+            plane,
+            np.arange(len(plane)) >= len(plane) - num_known,
+        ),
+        prices,
+        cells.middle_m,
+    )
+
+
+def problem_of(
+    first: np.ndarray,
+    number: np.ndarray,
+    cell_m3: np.ndarray,
+    pair: np.ndarray,
+    line: np.ndarray,
+    length_m: np.ndarray,
+    end_m: np.ndarray,
+    plane: np.ndarray,
+    is_known: np.ndarray,
+) -> Problem:
+    """All cells of a roof, which are free (:class:`Problem`)."""
+    num_cells, num_lines = len(first) - 1, int(line.max(initial=-1)) + 1
+    end = np.concatenate([pair[:, 0], pair[:, 1]])
+    return Problem(
+        first,
+        number,
+        np.repeat(np.arange(num_cells), np.diff(first)),
+        cell_m3,
+        np.searchsorted(np.sort(number), np.arange(len(plane) + 1)),
+        np.argsort(number, kind="stable"),
+        num_cells,
+        writable(pair, np.int64),
+        np.searchsorted(np.sort(end), np.arange(num_cells + 1)),
+        np.argsort(end, kind="stable"),
+        writable(line, np.int64),
+        writable(length_m, np.float64),
+        writable(end_m, np.float64),
+        writable(plane, np.float64),
+        is_known,
+        np.zeros(num_lines),
+        np.zeros(num_lines, bool),
+    )
+
+
+def candidates_of(
+    cells: Arrangement,
+    seen_m: np.ndarray,
+    label: np.ndarray,
+    point_m: np.ndarray,
+    of_cell: np.ndarray,
+    near_m: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(where those of each cell begin, (c + 1,), planes (n,)): which planes may cover each cell, ascending.
+
+    label: the plane of each place (m, 2) where it is seen. point_m: (n, 2), points in cells ``of_cell``, -1 for none.
+    near_m: planes this near to each other have a border.
+
+    All is decided for squares of a grid, and a cell may have what the squares of its middle, its corners and its points
+    may have.
+    """
+    size_m = near_m / 2
+    vertex, vertex_first = _vertices_of(cells)
+    in_cell = of_cell >= 0
+    place_m = np.concatenate([cells.middle_m, cells.xy_m[vertex], point_m[in_cell]])
+    owner = np.concatenate(
+        [
+            np.arange(len(cells.middle_m)),
+            np.repeat(np.arange(len(cells.middle_m)), np.diff(vertex_first)),
+            of_cell[in_cell],
+        ]
+    )
+    low_m = np.minimum(place_m.min(axis=0), seen_m.min(axis=0))
+    shape = ((np.maximum(place_m.max(axis=0), seen_m.max(axis=0)) - low_m) / size_m).astype(int) + 1
+    square = ((place_m - low_m) / size_m).astype(int) @ [shape[1], 1]
+    seen_square = ((seen_m - low_m) / size_m).astype(int) @ [shape[1], 1]
+    num_planes = int(label.max()) + 1
+    seen = np.unique(seen_square * num_planes + label)
+    wanted, wanted_of = np.unique(square, return_inverse=True)
+    middle_m = low_m + size_m * (np.column_stack(np.divmod(wanted, shape[1])) + 0.5)
+    to_seen_m = nearest(seen_m, middle_m)[0][:, 0]
+    square_first, square_plane = _candidates_at(
+        wanted,
+        _REACH * near_m + _UNSEEN_REACH * to_seen_m,
+        *np.divmod(seen, num_planes),
+        shape,
+        size_m,
+        num_planes,
+    )
+    pairs = np.unique(owner * len(wanted) + wanted_of)
+    return _united(
+        *np.divmod(pairs, len(wanted)), square_first, square_plane, len(cells.middle_m), num_planes
+    )
+
+
+def _vertices_of(cells: Arrangement) -> tuple[np.ndarray, np.ndarray]:
+    """(vertices of all cells, cell by cell, some of them twice; where those of each cell begin, (c + 1,))."""
+    owner, vertex = cells.pair.T.ravel(), np.tile(cells.side[:, 0], 2)
+    owner, vertex = np.concatenate([owner, owner]), np.concatenate([vertex, np.tile(cells.side[:, 1], 2)])
+    order = np.argsort(owner, kind="stable")
+    order = order[np.searchsorted(owner[order], 0) :]
+    return vertex[order], np.searchsorted(owner[order], np.arange(len(cells.area_m2) + 1))
+
+
+@entry
+def _candidates_at(
+    wanted: np.ndarray,
+    reach_m: np.ndarray,
+    seen_square: np.ndarray,
+    seen_plane: np.ndarray,
+    shape: np.ndarray,
+    size_m: float,
+    num_planes: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(where those of each wanted square begin, planes): those seen within reach of it, the nearest first. seen_square,
+    seen_plane: ascending squares in which planes are seen."""
+    begin = np.zeros(shape[0] * shape[1] + 1, np.int64)
+    for square in seen_square:
+        begin[square + 1] += 1
+    begin = np.cumsum(begin)
+    first, result, num = np.zeros(len(wanted) + 1, np.int64), np.empty(1024, np.int64), 0
+    least_m, found = np.full(num_planes, np.inf), np.empty(num_planes, np.int64)
+    for k, square in enumerate(wanted):
+        row, column = square // shape[1], square % shape[1]
+        span, num_found = int(reach_m[k] / size_m) + 1, 0
+        for i in range(max(row - span, 0), min(row + span + 1, shape[0])):
+            for j in range(max(column - span, 0), min(column + span + 1, shape[1])):
+                away_m = size_m * np.sqrt((i - row) ** 2 + (j - column) ** 2)
+                if away_m > reach_m[k]:
+                    continue
+                for t in range(begin[i * shape[1] + j], begin[i * shape[1] + j + 1]):
+                    plane = seen_plane[t]
+                    if least_m[plane] == np.inf:
+                        found[num_found], num_found = plane, num_found + 1
+                    least_m[plane] = min(least_m[plane], away_m)
+        near = found[:num_found]
+        if num_found > _MAX_CANDIDATES:
+            near = near[np.argsort(least_m[near], kind="mergesort")][:_MAX_CANDIDATES]
+        if num + len(near) > len(result):
+            result = np.concatenate((result, np.empty_like(result)))
+        result[num : num + len(near)], num = near, num + len(near)
+        first[k + 1] = num
+        least_m[found[:num_found]] = np.inf
+    return first, result[:num].copy()
+
+
+@entry
+def _united(
+    owner: np.ndarray, part: np.ndarray, part_first: np.ndarray, number: np.ndarray, size: int, num: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(where those of each of ``size`` owners begin, numbers below ``num``, ascending): what the parts of each owner
+    have. owner: ascending."""
+    first, result, count = np.zeros(size + 1, np.int64), np.empty(1024, np.int64), 0
+    last = np.full(num, -1)
+    for k in range(len(owner)):
+        for t in range(part_first[part[k]], part_first[part[k] + 1]):
+            if last[number[t]] != owner[k]:
+                last[number[t]] = owner[k]
+                if count == len(result):
+                    result = np.concatenate((result, np.empty_like(result)))
+                result[count], count = number[t], count + 1
+        first[owner[k] + 1] = count
+    for k in range(size):
+        first[k + 1] = max(first[k], first[k + 1])
+        result[first[k] : first[k + 1]].sort()
+    return first, result[:count].copy()
+
+
+@entry
+def _cell_costs(
+    first: np.ndarray,
+    number: np.ndarray,
+    plane: np.ndarray,
+    point_m: np.ndarray,
+    stands_m2: np.ndarray,
+    begin: np.ndarray,
+    area_m2: np.ndarray,
+    vertex: np.ndarray,
+    vertex_first: np.ndarray,
+    xy_m: np.ndarray,
+    bottom_m: float,
+    top_m: float,
+    prices: PlanePrices,
+) -> np.ndarray:
+    """(n,): what each candidate costs. point_m: cell by cell, those of each begin at ``begin``. vertex: the same of the
+    vertices. bottom_m, top_m: heights of the lowest and the highest point of all."""
+    result = np.zeros(len(number))
+    for cell in range(len(area_m2)):
+        for t in range(first[cell], first[cell + 1]):
+            a, b, c = plane[number[t]]
+            for k in range(begin[cell], begin[cell + 1]):
+                off_m = abs(a * point_m[k, 0] + b * point_m[k, 1] + c - point_m[k, 2])
+                result[t] += min(off_m, prices.cap_m) * stands_m2[k]
+            low_z, high_z = np.inf, -np.inf
+            for k in range(vertex_first[cell], vertex_first[cell + 1]):
+                z = a * xy_m[vertex[k], 0] + b * xy_m[vertex[k], 1] + c
+                low_z, high_z = min(low_z, z), max(high_z, z)
+            beyond_m = max(high_z - top_m, bottom_m - low_z) - prices.support_m
+            result[t] += area_m2[cell] * min(max(beyond_m, 0.0), prices.cap_m)
+            if low_z < _LOWEST_M:
+                result[t] += FORBIDDEN_M3
+    return result
+
+
+@inner
+def ends_apart_m(problem: Problem, side: int, one: int, other: int) -> tuple[float, float]:
+    """How far two planes are from each other at the ends of a side."""
+    end_m, plane = problem.end_m, problem.plane
+    a, b = plane[one, 0] - plane[other, 0], plane[one, 1] - plane[other, 1]
+    c = plane[one, 2] - plane[other, 2]
+    first_m = abs(a * end_m[side, 0, 0] + b * end_m[side, 0, 1] + c)
+    return first_m, abs(a * end_m[side, 1, 0] + b * end_m[side, 1, 1] + c)
+
+
+@inner
+def is_step(problem: Problem, prices: PlanePrices, side: int, one: int, other: int) -> bool:
+    """Whether there is a step between two planes along a side."""
+    first_m, last_m = ends_apart_m(problem, side, one, other)
+    return one != other and max(first_m, last_m) >= prices.meet_m
+
+
+@inner
+def side_m3(problem: Problem, prices: PlanePrices, side: int, one: int, other: int) -> float:
+    """What two planes cost on the two hands of a side."""
+    if one == other:
+        return 0.0
+    first_m, last_m = ends_apart_m(problem, side, one, other)
+    share, barred_m3 = prices.meet_share, 0.0
+    if max(first_m, last_m) >= prices.meet_m:
+        share = prices.small_step_share if first_m + last_m < 2 * prices.small_step_m else 1.0
+        barred_m3 = FORBIDDEN_M3 if problem.is_barred[problem.line[side]] else 0.0
+    elif problem.is_known[one] and problem.is_known[other]:
+        share = prices.known_share
+    return prices.edge_m2 * problem.length_m[side] * share + barred_m3
+
+
+@both
+def _choice_of(problem: Problem, label: np.ndarray) -> np.ndarray:
+    """The candidates (c,) of planes over the cells, -1 for none."""
+    result = np.full(len(label), -1)
+    for cell in range(len(label)):
+        for t in range(problem.first[cell], problem.first[cell + 1]):
+            if problem.number[t] == label[cell]:
+                result[cell] = t
+    return result
+
+
+@entry
+def _steps_of(problem: Problem, prices: PlanePrices, label: np.ndarray) -> np.ndarray:
+    """bool (s,): the sides with steps between planes over the cells."""
+    result = np.zeros(len(problem.pair), np.bool_)
+    for side, (one, other) in enumerate(problem.pair):
+        result[side] = is_step(problem, prices, side, label[one], label[other])
+    return result
+
+
+@both
+def _total_m3(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> float:
+    return total_m3(problem, prices, choice)
+
+
+@allocating
+def total_m3(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> float:
+    """What a choice costs."""
+    label, total = problem.number[choice], problem.cell_m3[choice].sum()
+    for side, (one, other) in enumerate(problem.pair):
+        total += side_m3(problem, prices, side, label[one], label[other])
+    total += prices.face_m3 * (faces_of(problem, label).max() + 1)
+    for length_m in steps_m(problem, prices, label):
+        total += prices.line_m3 * min(length_m / prices.whole_line_m, 1.0)
+    return total
+
+
+@allocating
+def steps_m(problem: Problem, prices: PlanePrices, label: np.ndarray) -> np.ndarray:
+    """(l,): how much of each line has steps."""
+    result = problem.outside_m.copy()
+    for side, (one, other) in enumerate(problem.pair):
+        if is_step(problem, prices, side, label[one], label[other]):
+            result[problem.line[side]] += problem.length_m[side]
+    return result
+
+
+@allocating
+def faces_of(problem: Problem, label: np.ndarray) -> np.ndarray:
+    """int (c,): numbers of the connected faces, in the order of their first cells."""
+    link = problem.pair.copy()
+    for side in range(len(link)):
+        if label[link[side, 0]] != label[link[side, 1]]:
+            link[side, 1] = link[side, 0]
+    return grouped(len(label), link)
