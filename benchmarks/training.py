@@ -16,11 +16,12 @@ import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
-from figures import Figures, cpu_seconds, peak_mib
+from figures import Figures, peak_mib
 
 from p2wss.config import Config, load
 from p2wss.nets import compute
@@ -30,9 +31,12 @@ from p2wss.nets.predictor import Point2WssPredictor
 from p2wss.training.dataset import BuildingDataset
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.model import ModelTask
+from p2wss.training.state import TrainingState
 
 # numbers of vertices of footprints and their shares, about as in the town of the miniature
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
+# steps on a GPU before those that are measured: code is compiled in them
+_NUM_COMPILING = 8
 
 
 def town(num: int, seed: int = 0) -> BuildingDataset:
@@ -64,32 +68,30 @@ def clock_s(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def seconds_of_steps(task: DvaeTask | ModelTask, steps: int) -> np.ndarray:
-    """Seconds (steps,) of :func:`clock_s` of steps of training."""
-    device = next(task.module.parameters()).device
-    optimiser = torch.optim.AdamW(task.module.parameters(), foreach=True)
-    took = np.empty(1 + steps)
-    for number in range(1 + steps):
-        start = clock_s(device)
-        task.module.train()
-        task.step(number)["loss"].backward()
-        optimiser.step()
-        optimiser.zero_grad(set_to_none=True)
-        took[number] = clock_s(device) - start
-    return took[1:]
-
-
-def loading(buildings: BuildingDataset, config: Config) -> float:
-    """CPU seconds to cut a batch of the model's stage."""
-    size = config.model.optimiser.batch_size
-    order = np.random.default_rng(0).permutation(len(buildings))
-    batches = np.split(order[: len(order) // size * size], len(order) // size)
-
-    def epoch() -> None:
-        for number, index in enumerate(batches):
-            buildings.batch(index, config.dvae.num_points, number)
-
-    return cpu_seconds(epoch, 3) / len(batches)
+def seconds_of_steps(task: DvaeTask | ModelTask, steps: int) -> tuple[np.ndarray, float]:
+    """Seconds (steps,) of :func:`clock_s` of steps of training, and the share of it that was spent on batches: waiting
+    for them on a GPU, where they are prepared one step ahead."""
+    device = task.device
+    num_first = 1 if device.type == "cpu" else _NUM_COMPILING
+    state = TrainingState(task.module, task.config.optimiser)
+    took, waited = np.empty((2, num_first + steps))
+    with ThreadPoolExecutor(1) as loader:
+        loading = loader.submit(task.load, 0)
+        for number in range(num_first + steps):
+            start = clock_s(device)
+            begin = time.perf_counter()
+            loaded = loading.result() if device.type == "cuda" else task.load(number)
+            waited[number] = time.perf_counter() - begin
+            if device.type == "cuda":
+                loading = loader.submit(task.load, number + 1)
+            task.module.train()
+            losses = task.step(number, loaded)
+            state.optimiser.zero_grad(set_to_none=True)
+            losses["loss"].backward()
+            torch.nn.utils.clip_grad_norm_(task.module.parameters(), 1.0)
+            state.step()
+            took[number] = clock_s(device) - start
+    return took[num_first:], waited[num_first:].sum() / took[num_first:].sum()
 
 
 def inference(config: Config, num: int) -> dict[str, float]:
@@ -134,20 +136,20 @@ def main() -> int:
     figures = Figures()
     torch.manual_seed(0)
     vae = DiscreteVae(config.dvae).to(device)
-    took = seconds_of_steps(DvaeTask(vae, buildings, buildings), options.steps)
+    took, share = seconds_of_steps(DvaeTask(vae, buildings, buildings), options.steps)
+    figures.at_most("dvae: loader's share of a step", share, 0.05)
     figures.row("dvae", {"steps per second": 1 / took.min()})
     print(f"dvae   {1 / took.min():.3f} steps/s of {config.dvae.optimiser.batch_size} clouds")
     vae.eval().requires_grad_(False)
     network = Point2Wss(config.model, config.dvae).to(device)
-    took = seconds_of_steps(ModelTask(network, vae, buildings, buildings), options.steps)
+    took, share = seconds_of_steps(ModelTask(network, vae, buildings, buildings), options.steps)
+    figures.at_most("model: loader's share of a step", share, 0.05)
     figures.row("model", {"steps per second": 1 / took.mean()})
     print(f"model  {1 / took.mean():.3f} steps/s of {config.model.optimiser.batch_size} buildings")
     if device.type == "cuda":
         memory_gib = torch.cuda.max_memory_allocated() / 2**30
         figures.row("GPU", {"most memory, GiB": memory_gib})
         print(f"{torch.cuda.get_device_name()}: at most {memory_gib:.1f} GiB")
-    batch_s = loading(buildings, config)
-    figures.at_most("loader's share of a training step", batch_s / took.mean(), 0.05)
     if options.batch or device.type == "cuda":
         return figures.end()
 

@@ -51,5 +51,5 @@ def completion(
         weight_decay=0.02,
     )
     with training_lock(checkpoints):
-        module = completion.train(optimiser, device, checkpoints, code)
+        module = completion.train(optimiser, device, checkpoints, code, num_processes=threads)
         common.write_trained(checkpoints, out_metrics, partial(completion.save_completion, module, out, code))

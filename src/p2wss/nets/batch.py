@@ -11,6 +11,7 @@ from numba import njit
 from torch import Tensor
 
 from p2wss.config import Dvae
+from p2wss.nets import compute
 from p2wss.nets.patches import Patches, make_patches
 
 # Network units per metre: 10 m become 1. Clouds are never scaled to the unit sphere, which would erase heights.
@@ -40,7 +41,11 @@ class Batch:
 
     def to(self, device: torch.device) -> Batch:
         """The batch on another device."""
-        return Batch(**{name: value.to(device) for name, value in vars(self).items()})
+        return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
+
+    def staged(self, device: torch.device) -> Batch:
+        """The batch where a copy to ``device`` does not keep the host waiting."""
+        return Batch(**{name: compute.staged(value, device) for name, value in vars(self).items()})
 
     def __getitem__(self, rows: Tensor) -> Batch:
         return Batch(**{name: value[rows] for name, value in vars(self).items()})
@@ -63,6 +68,17 @@ def centre(batch: Batch) -> Batch:
     )
 
 
+def cut(
+    points_cm: np.ndarray, first: np.ndarray, count: np.ndarray, num_points: int, seeds: np.ndarray
+) -> np.ndarray:
+    """Points in metres, float32 (b, p, 3), of b clouds: of the ``count`` (b,) points from ``first`` (b,) on at most
+    ``num_points`` each, drawn from the states ``seeds``, uint64 (b,), of the random numbers. 0 for padding."""
+    num_kept = np.minimum(count, num_points)
+    points = np.zeros((len(count), num_kept.max(), 3), np.float32)
+    _cut(points_cm, first, count, num_kept, seeds, points)
+    return points
+
+
 def thin(count: int, num_points: int, state: int | None = None) -> np.ndarray:
     """Indices of at most ``num_points`` of ``count`` points, drawn from the state of the random numbers; without one,
     the same for the same count."""
@@ -70,6 +86,24 @@ def thin(count: int, num_points: int, state: int | None = None) -> np.ndarray:
     state = count * SEED_STRIDE if state is None else state
     _select(count, np.uint64(state & _MASK_64), selected)
     return selected
+
+
+@njit(cache=True, nogil=True)
+def _cut(
+    points_cm: np.ndarray,
+    first: np.ndarray,
+    count: np.ndarray,
+    num_kept: np.ndarray,
+    seeds: np.ndarray,
+    points: np.ndarray,
+) -> None:
+    for row in range(len(first)):
+        selected = np.empty(num_kept[row], np.int64)
+        _select(count[row], seeds[row], selected)
+        for number in range(num_kept[row]):
+            for axis in range(3):
+                value = points_cm[first[row] + selected[number], axis]
+                points[row, number, axis] = np.float32(value) * np.float32(0.01)
 
 
 @njit(cache=True, nogil=True)

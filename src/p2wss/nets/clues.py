@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -10,9 +10,12 @@ import numpy as np
 MAX_POINTS, MAX_AROUND, MAX_VERTICES = 64, 24, 24
 # metres of a unit of the network, and of the longest building in training
 SCALE_M, MAX_SIZE_M = 10.0, 90.0
-NUM_FREQUENCIES = 6
-# units: lowest frequency, and a distance that is none
+# units: of the lowest frequency, and a distance that is none
 _HALF_WAVE, _FAR, _TINY = 8.0, 9.0, 1e-8
+_WAVES = (np.pi / _HALF_WAVE * 2.0 ** np.arange(6)).tolist()
+
+# of numpy, or in training of torch
+Array: TypeAlias = Any
 
 
 class Clues(NamedTuple):
@@ -22,13 +25,13 @@ class Clues(NamedTuple):
     (b, q, 2), where the roof is asked for. is_point, is_around, is_vertex: false for padding.
     """
 
-    point: np.ndarray
-    is_point: np.ndarray
-    around: np.ndarray
-    is_around: np.ndarray
-    ring: np.ndarray
-    is_vertex: np.ndarray
-    place: np.ndarray
+    point: Array
+    is_point: Array
+    around: Array
+    is_around: Array
+    ring: Array
+    is_vertex: Array
+    place: Array
 
 
 class Features(NamedTuple):
@@ -39,68 +42,78 @@ class Features(NamedTuple):
     tokens to places. axis: (b, t, 2), the direction in which the slope of a token's planes is stated. z: (b, t).
     """
 
-    point: np.ndarray
-    is_own: np.ndarray
-    edge: np.ndarray
-    place: np.ndarray
-    is_token: np.ndarray
-    distance: np.ndarray
-    offset: np.ndarray
-    place_distance: np.ndarray
-    axis: np.ndarray
-    z: np.ndarray
+    point: Array
+    is_own: Array
+    edge: Array
+    place: Array
+    is_token: Array
+    distance: Array
+    offset: Array
+    place_distance: Array
+    axis: Array
+    z: Array
 
 
-def features_of(clues: Clues) -> Features:
-    """The features of clues."""
+def features_of(clues: Clues, xp: Any = np) -> Features:
+    """The features of clues, as arrays, or as tensors if the clues are tensors and ``xp`` is torch."""
     ring, is_vertex = clues.ring, clues.is_vertex
-    following = (np.arange(ring.shape[1]) + 1) % np.maximum(is_vertex.sum(axis=1), 1)[:, None]
-    end = np.take_along_axis(ring, following[..., None], axis=1)
+    # from 0 and from 1, on the device of the ring
+    row, position = (xp.cumsum(is_vertex | True, axis=axis) for axis in (0, 1))
+    following = position % xp.clip(is_vertex.sum(axis=1), 1, None)[:, None]
+    end = ring[row - 1, following]
     along = end - ring
-    length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-4)
+    length = xp.clip(xp.linalg.norm(along, axis=-1, keepdims=True), 1e-4, None)
     doubled_area = ((ring[..., 0] * end[..., 1] - ring[..., 1] * end[..., 0]) * is_vertex).sum(axis=1)
-    outwards = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length
-    outwards *= np.sign(doubled_area)[:, None, None]
+    outwards = xp.stack([along[..., 1], -along[..., 0]], axis=-1) / length
+    outwards = outwards * xp.sign(doubled_area)[:, None, None]
 
-    def from_edges(place: np.ndarray) -> np.ndarray:
+    def from_edges(place: Array) -> Array:
         offset = place[:, :, None] - ring[:, None]
-        share = np.clip((offset * along[:, None]).sum(axis=-1) / length[:, None, :, 0] ** 2, 0, 1)
-        away = _length(offset - share[..., None] * along[:, None])
-        return np.where(is_vertex[:, None], away, _FAR)
+        share = xp.clip((offset * along[:, None]).sum(axis=-1) / length[:, None, :, 0] ** 2, 0, 1)
+        away = _length(offset - share[..., None] * along[:, None], xp)
+        return xp.where(is_vertex[:, None], away, _FAR)
 
-    point = np.concatenate([clues.point, clues.around], axis=1)
-    num_own, num_points = clues.point.shape[1], point.shape[1]
-    count = np.log(np.maximum(clues.is_point.sum(axis=1), 1)) / 4
-    at_m = np.concatenate([point[..., :2], (ring + end) / 2], axis=1)
+    point = xp.concatenate([clues.point, clues.around], axis=1)
+    num_points = point.shape[1]
+    count = xp.log(xp.clip(clues.is_point.sum(axis=1), 1, None)) / 4
+    at_m = xp.concatenate([point[..., :2], (ring + end) / 2], axis=1)
     to_edge = from_edges(at_m)
-    distance = np.concatenate([_length(at_m[:, :, None] - point[:, None, :, :2]), to_edge], axis=2)
+    distance = xp.concatenate([_length(at_m[:, :, None] - point[:, None, :, :2], xp), to_edge], axis=2)
     offset = clues.place[:, :, None] - at_m[:, None]
-    place_distance = np.concatenate([_length(offset[:, :, :num_points]), from_edges(clues.place)], axis=2)
-    axis = np.concatenate([np.broadcast_to([1.0, 0.0], point[..., :2].shape), outwards], axis=1)
-    counted = np.broadcast_to(count[:, None, None], (*at_m.shape[:2], 1))
-    nearest = to_edge[:, :num_points].min(axis=2, keepdims=True)
+    place_distance = xp.concatenate(
+        [_length(offset[:, :, :num_points], xp), from_edges(clues.place)], axis=2
+    )
+    ahead = xp.stack([xp.ones_like(point[..., 0]), xp.zeros_like(point[..., 0])], axis=-1)
+    counted = xp.broadcast_to(count[:, None, None], (*at_m.shape[:2], 1))
+    nearest = xp.amin(to_edge[:, :num_points], axis=2, keepdims=True)
     return Features(
-        np.concatenate([_waves(point), nearest, counted[:, :num_points]], axis=-1),
-        np.broadcast_to(np.arange(num_points) < num_own, point.shape[:2]).astype(int),
-        np.concatenate(
-            [_waves(np.concatenate([ring, end], -1)), outwards, length, counted[:, num_points:]], axis=-1
+        xp.concatenate([_waves(point, xp), nearest, counted[:, :num_points]], axis=-1),
+        xp.concatenate([clues.is_point | True, clues.is_around & False], axis=1) * 1,
+        xp.concatenate(
+            [
+                _waves(xp.concatenate([ring, end], axis=-1), xp),
+                outwards,
+                length,
+                counted[:, num_points:],
+            ],
+            axis=-1,
         ),
-        _waves(clues.place),
-        np.concatenate([clues.is_point, clues.is_around, is_vertex], axis=1),
+        _waves(clues.place, xp),
+        xp.concatenate([clues.is_point, clues.is_around, is_vertex], axis=1),
         distance,
         offset,
         place_distance,
-        axis,
-        np.concatenate([point[..., 2], np.zeros(ring.shape[:2])], axis=1),
+        xp.concatenate([ahead, outwards], axis=1),
+        xp.concatenate([point[..., 2], xp.zeros_like(ring[..., 0])], axis=1),
     )
 
 
-def _length(vector: np.ndarray) -> np.ndarray:
-    return np.sqrt((vector**2).sum(axis=-1) + _TINY)
+def _length(vector: Array, xp: Any) -> Array:
+    return xp.sqrt((vector**2).sum(axis=-1) + _TINY)
 
 
-def _waves(value: np.ndarray) -> np.ndarray:
+def _waves(value: Array, xp: Any) -> Array:
     """Coordinates (.., c), and sines and cosines of them, (.., 13 c)."""
-    angle = value[..., None] * (np.pi / _HALF_WAVE * 2.0 ** np.arange(NUM_FREQUENCIES))
+    angle = xp.stack([value * each for each in _WAVES], axis=-1)
     flat = (*value.shape[:-1], -1)
-    return np.concatenate([value, np.sin(angle).reshape(flat), np.cos(angle).reshape(flat)], axis=-1)
+    return xp.concatenate([value, xp.sin(angle).reshape(flat), xp.cos(angle).reshape(flat)], axis=-1)

@@ -161,11 +161,14 @@ class DiscreteVae(nn.Module):
         """int64 (b, g): the most probable code of each patch, without Gumbel noise."""
         return self.logits(patches, centre_graph(patches)).argmax(-1)
 
-    def forward(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
-        """Losses of the coarse and fine reconstructions (Chamfer-L1), divergence from uniform codes, and the codes."""
+    def forward(self, patches: Patches, temperature: Tensor | float) -> dict[str, Tensor]:
+        """Losses of the coarse and fine reconstructions (Chamfer-L1), divergence from uniform codes, and the codes.
+
+        temperature: of the Gumbel softmax; a tensor, as code would be compiled anew for each number.
+        """
         graph = centre_graph(patches)
         logits = self.logits(patches, graph).float()
-        soft = F.gumbel_softmax(logits, tau=temperature, hard=False, dim=-1)
+        soft = F.gumbel_softmax(logits, temperature)  # type: ignore[arg-type]
         coarse, fine = self.decoder(self.to_features(soft @ self.codebook, graph))
         valid = patches.valid
         log_mean = _masked_mean(F.softmax(logits, -1), valid).clamp_min(1e-20).log()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +28,13 @@ _MATCHING_WEIGHTS = (0.1, 0.9)
 INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.", "number_head.")
 # radians of a digit's period to which the deviation of a value is limited
 LEAST_SPREAD = 0.15
+
+
+class Group(NamedTuple):
+    """Rows of a batch, a slice from start to stop, and the length of the longest of their sequences."""
+
+    rows: slice
+    length: int
 
 
 class CloudEncoder(nn.Module):
@@ -199,16 +208,15 @@ class NumberHead(nn.Module):
         weight = F.one_hot(place + 1, len(period) + 1)[:, 1:] / (spread.square() + LEAST_SPREAD**2)
         return F.pad((weight[..., None] * (2 * math.pi * phase).cos()).flatten(-2), (FIRST_DIGIT, 0))
 
-    def loss(self, x: Tensor, tokens: Tensor, wanted: Tensor, token_value: Tensor) -> Tensor:
-        """Mean negative log-likelihood of the numbers of the ``tokens`` (b, l) whose first digits are ``wanted``, bool
-        (b, l), with Laplace distributions: the digits alone say little of a value that is still far off."""
+    def likelihood(self, x: Tensor, tokens: Tensor, wanted: Tensor, token_value: Tensor) -> Tensor:
+        """Negative log-likelihoods (k,) of the k numbers of the ``tokens`` (b, l) whose first digits are ``wanted``,
+        bool (b, l), with Laplace distributions: the digits alone say little of a value that is still far off."""
         place, first = self._digits(x, tokens.shape[1], None)
         digit = token_value[tokens] * (place >= 0)
         number = torch.zeros_like(digit).index_add_(1, first, digit) * NETWORK_SCALE
         chosen = wanted & (place >= 0) & (first == torch.arange(len(first), device=x.device))
         value, log_deviation = self._values(x[chosen])
-        likelihood = (value - number[chosen]).abs() * (-log_deviation).exp() + log_deviation
-        return likelihood.sum() / distributed.average_count(torch.tensor(len(value), device=x.device))
+        return (value - number[chosen]).abs() * (-log_deviation).exp() + log_deviation
 
     def _digits(self, x: Tensor, length: int, positions: Tensor | None) -> tuple[Tensor, Tensor]:
         """The places (r,) of the digits at ``positions`` (-1: no digit), and the first of their number among them."""
@@ -261,53 +269,71 @@ class Point2Wss(nn.Module):
         given: Tensor,
         wanted: Tensor,
         num_vertices: Tensor,
+        groups: Sequence[Group] = (),
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
         patches, ground_z (b,): scaled and centred. tokens int64 (b, l) without masks, given int64 (b, l) with masks,
         wanted bool (b, l), which of them to predict, num_vertices (b,). patch_masked bool (a, g), patch_labels int64
         (a, g), codes of the discrete VAE: of the first a <= b pairs, on which the losses (1), (3) and (4) are computed.
-        In the paper a = b; for a = 0 there is only the loss (2).
+        In the paper a = b; for a = 0 there is only the loss (2). groups: all rows, in order; the sequences of a group
+        are padded to its longest, by default to the longest of all.
         """
-        first = slice(len(patch_masked))
+        num_first = len(patch_masked)
         # each branch runs once, on a batch of its masked and its unmasked inputs
         x, position, valid = self.cloud.embed_patches(patches, ground_z)
         both = self.cloud.encoder(
-            torch.cat([self.cloud.hide(x[first], patch_masked), x]),
-            torch.cat([valid[first], valid]),
-            embedding=torch.cat([position[first], position]),
+            torch.cat([self.cloud.hide(x[:num_first], patch_masked), x]),
+            torch.cat([valid[:num_first], valid]),
+            embedding=torch.cat([position[:num_first], position]),
         )
-        cloud_masked, cloud = both.tensor_split([len(patch_masked)])
-        present = tokens != PAD
-        edges = self._edges(given, num_vertices)
-        unmasked, num_unmasked = tokens[first], num_vertices[first]
-        both = self.sequence.encoder(
-            torch.cat(
-                [
-                    self.sequence.embed(unmasked, num_unmasked, self._edges(unmasked, num_unmasked)),
-                    self.sequence.embed(given, num_vertices, edges),
-                ]
-            ),
-            torch.cat([present[first], present]),
-        )
-        sequence, sequence_masked = both.tensor_split([len(unmasked)])
-        sequence_masked = self._add_edge_attention(sequence_masked, edges, cloud, patches, ground_z)
-        sequence_fused = self.sequence_cross(sequence_masked, present, source=(cloud, valid))
-        words = self._words(sequence_fused, tokens.shape[1])
-        losses = {"sequence": _mean_cross_entropy(words[wanted], tokens[wanted])}  # (2)
+        cloud_masked, cloud = both.tensor_split([num_first])
+        parts = []
+        for rows, length in groups or [Group(slice(0, len(tokens)), tokens.shape[1])]:
+            first, columns = slice(rows.start, min(rows.stop, num_first)), slice(length)
+            row_tokens, row_given, row_wanted = (each[rows, columns] for each in (tokens, given, wanted))
+            present, edges = row_tokens != PAD, self._edges(row_given, num_vertices[rows])
+            unmasked, num_unmasked = tokens[first, columns], num_vertices[first]
+            num_of_first = len(unmasked)
+            both = self.sequence.encoder(
+                torch.cat(
+                    [
+                        self.sequence.embed(unmasked, num_unmasked, self._edges(unmasked, num_unmasked)),
+                        self.sequence.embed(row_given, num_vertices[rows], edges),
+                    ]
+                ),
+                torch.cat([present[:num_of_first], present]),
+            )
+            sequence, masked = both.tensor_split([num_of_first])
+            masked = self._add_edge_attention(masked, edges, cloud[rows], patches[rows], ground_z[rows])
+            fused = self.sequence_cross(masked, present, source=(cloud[rows], valid[rows]))
+            part = {
+                "words": self._words(fused, length)[row_wanted],
+                "tokens": row_tokens[row_wanted],
+            }
+            if self.number_head is not None:
+                value = self.sequence.get_buffer("token_value")
+                part["number"] = self.number_head.likelihood(fused, row_tokens, row_wanted, value)
+            if num_of_first:
+                part["cloud_fused"] = self.cloud_cross(
+                    cloud_masked[first],
+                    valid[first],
+                    embedding=position[first],
+                    source=(sequence, present[:num_of_first]),
+                )
+                part["sequence"], part["fused"] = sequence[:, 0], fused[:num_of_first, 0]
+            parts.append(part)
+        whole = {name: torch.cat([part[name] for part in parts if name in part]) for name in parts[0]}
+        losses = {"sequence": _mean_cross_entropy(whole["words"], whole["tokens"])}  # (2)
         if self.number_head is not None:
-            value = self.sequence.get_buffer("token_value")
-            losses["number"] = self.number_head.loss(sequence_fused, tokens, wanted, value)
-        if not len(patch_masked):
+            losses["number"] = _mean(whole["number"].sum(), len(whole["number"]))
+        if not num_first:
             return losses
-        cloud_fused = self.cloud_cross(
-            cloud_masked, valid[first], embedding=position[first], source=(sequence, present[first])
-        )
-        cloud_logits = self.cloud_head(cloud_fused[:, 1:][patch_masked])
+        cloud_logits = self.cloud_head(whole["cloud_fused"][:, 1:][patch_masked])
         return losses | {
             "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
-            "modal": self._modal_loss(cloud[first, 0], sequence[:, 0]),  # (3)
-            "match": self._match_loss(cloud_fused[:, 0], sequence_fused[first, 0]),  # (4)
+            "modal": self._modal_loss(cloud[:num_first, 0], whole["sequence"]),  # (3)
+            "match": self._match_loss(whole["cloud_fused"][:, 0], whole["fused"]),  # (4)
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
@@ -382,8 +408,12 @@ class Point2Wss(nn.Module):
 
 def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
     """Mean over the tokens of all processes; 0 where none is masked."""
-    count = distributed.average_count(torch.tensor(len(label), device=label.device))
-    return F.cross_entropy(logits.float(), label, reduction="sum") / count
+    return _mean(F.cross_entropy(logits.float(), label, reduction="sum"), len(label))
+
+
+def _mean(total: Tensor, count: int) -> Tensor:
+    """From the sum and the number of terms of each process."""
+    return total / distributed.average_count(torch.full((), count, device=total.device))
 
 
 def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:

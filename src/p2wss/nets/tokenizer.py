@@ -162,6 +162,10 @@ class Tokenizer:
         """(b, n, block_length): the tokens between the header and the last position, per vertex; a view."""
         return tokens[:, self.header_length : -1].unflatten(1, (-1, self.block_length))
 
+    def length(self, num_vertices: int) -> int:
+        """Of the sequence of a building with so many vertices."""
+        return self.header_length + self.block_length * num_vertices + 1
+
     def kinds(self, tokens_shape: torch.Size, num_vertices: Tensor) -> Tensor:
         """int64 (b, l): the kind of each position, one of the ``KIND_`` constants."""
         device = num_vertices.device

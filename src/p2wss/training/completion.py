@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,13 +15,14 @@ from p2wss.config import DeviceName
 from p2wss.config.training import Optimiser
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import compute
-from p2wss.nets.clues import SCALE_M, features_of
-from p2wss.nets.completion import Mixture, RoofCompletion, completion_loss
+from p2wss.nets.clues import SCALE_M, Clues, features_of
+from p2wss.nets.completion import RoofCompletion, completion_loss
 from p2wss.nets.supposed import KIND
 from p2wss.nets.weights import last_validation, write_weights
 from p2wss.storage import files
 from p2wss.training import loop
 from p2wss.training.drawn_roofs import DrawnRoofs, draw_batch, draw_roofs
+from p2wss.training.forks import Forks
 
 _CHECKPOINT_EVERY_STEPS, _NUM_VALIDATION = 500, 512
 # of the buildings drawn, those kept for validation
@@ -26,12 +30,20 @@ _VALIDATION_SHARE = 0.02
 
 
 def train(
-    optimiser: Optimiser, device: DeviceName, checkpoints: Path, code: str, seed: int = 0
+    optimiser: Optimiser,
+    device: DeviceName,
+    checkpoints: Path,
+    code: str,
+    seed: int = 0,
+    num_processes: int = 1,
 ) -> RoofCompletion:
-    """Train on towns drawn with ``seed``; see :func:`loop.train`."""
+    """Train on towns drawn with ``seed``; see :func:`loop.train`. Of several processes this one trains, while the
+    others draw."""
     torch.manual_seed(derive_seed(seed, KIND, "weights"))
-    module = RoofCompletion().to(compute.device_of(device))
-    task = CompletionTask(module, draw_roofs(seed), optimiser.batch_size, seed)
+    module = RoofCompletion()
+    roofs = draw_roofs(seed, num_processes=num_processes)
+    task = CompletionTask(module, roofs, optimiser.batch_size, seed, num_processes - 1)
+    module.to(compute.device_of(device))
     plan = loop.Plan(seed, optimiser, _CHECKPOINT_EVERY_STEPS)
     identity = {
         "stage": KIND,
@@ -40,7 +52,8 @@ def train(
         "seed": seed,
     }
     checkpoints.mkdir(parents=True, exist_ok=True)
-    loop.train(task, plan, checkpoints, identity, code)
+    with closing(task.batches):
+        loop.train(task, plan, checkpoints, identity, code)
     return module
 
 
@@ -50,35 +63,65 @@ def save_completion(module: RoofCompletion, path: Path, code: str, metrics: str)
     write_weights(path, {name: value.half() for name, value in module.state_dict().items()}, metadata)
 
 
-class CompletionTask:
-    """The training as a :class:`p2wss.training.loop.Task`."""
+class Sample(NamedTuple):
+    """A batch: clues, z (b, q) and slope (b, q, 2) at their places; arrays, or tensors."""
 
-    def __init__(self, module: RoofCompletion, roofs: DrawnRoofs, batch_size: int, seed: int) -> None:
+    clues: Clues
+    z: Any
+    slope: Any
+
+    def each(self, function: Callable[[Any], Any]) -> Sample:
+        """The same with ``function`` of each array."""
+        return Sample(Clues(*map(function, self.clues)), function(self.z), function(self.slope))
+
+
+class CompletionTask:
+    """The training as a :class:`p2wss.training.loop.Task`. ``num_forks`` processes draw the batches."""
+
+    def __init__(
+        self, module: RoofCompletion, roofs: DrawnRoofs, batch_size: int, seed: int, num_forks: int = 0
+    ) -> None:
         self.module, self.roofs, self.batch_size, self.seed = module, roofs, batch_size, seed
         shuffled = np.random.default_rng(seed).permutation(len(roofs.z))
         self.held_out, self.index = np.split(shuffled, [max(int(_VALIDATION_SHARE * len(shuffled)), 1)])
+        self.batches = Forks(self._draw, num_forks)
 
-    def step(self, step: int) -> dict[str, Tensor]:
-        rng = np.random.default_rng(derive_seed(self.seed, KIND, step))
-        mixture, z, slope = self._mixture(self.module, rng.choice(self.index, self.batch_size), rng)
-        return {"loss": completion_loss(mixture, z, slope)}
+    @property
+    def device(self) -> torch.device:
+        return next(self.module.parameters()).device
+
+    def load(self, step: int) -> Sample:
+        return self.batches[step].each(lambda each: compute.staged(torch.from_numpy(each), self.device))
+
+    def step(self, step: int, loaded: Sample) -> dict[str, Tensor]:
+        loss = compute.compiled(loss_of, self.device)
+        return {"loss": loss(self.module, loaded.each(self._on_device))}
 
     def validate(self, module: nn.Module) -> dict[str, float]:
         assert isinstance(module, RoofCompletion)
-        mixture, z, _ = self._mixture(module, self.held_out[:_NUM_VALIDATION], np.random.default_rng(0))
+        sample = _drawn(self.roofs, self.held_out[:_NUM_VALIDATION], np.random.default_rng(0))
+        clues, z, _ = sample.each(lambda each: self._on_device(torch.from_numpy(each)))
+        mixture = module(*features_of(clues, torch))
         likeliest = mixture.logit.argmax(-1, keepdim=True)
         off = (mixture.z.gather(-1, likeliest)[..., 0] - z).abs().mean()
         return {"val_height_m": SCALE_M * float(off)}
 
-    def _mixture(
-        self, module: RoofCompletion, index: np.ndarray, rng: np.random.Generator
-    ) -> tuple[Mixture, Tensor, Tensor]:
-        device = next(module.parameters()).device
-        clues, z, slope = draw_batch(self.roofs, index, rng)
-        features = [
-            torch.from_numpy(each.astype(np.float32) if each.dtype == float else each.copy()).to(device)
-            for each in features_of(clues)
-        ]
-        return module(*features), *(
-            torch.from_numpy(each.astype(np.float32)).to(device) for each in (z, slope)
-        )
+    def _draw(self, step: int) -> Sample:
+        rng = np.random.default_rng(derive_seed(self.seed, KIND, step))
+        return _drawn(self.roofs, rng.choice(self.index, self.batch_size), rng)
+
+    def _on_device(self, each: Tensor) -> Tensor:
+        return each.to(self.device, non_blocking=True)
+
+
+def loss_of(module: RoofCompletion, sample: Sample) -> Tensor:
+    """The loss of a batch of tensors. Their features are computed where the network is: they are a hundred times as
+    many numbers as the clues."""
+    return completion_loss(module(*features_of(sample.clues, torch)), sample.z, sample.slope)
+
+
+def _drawn(roofs: DrawnRoofs, index: np.ndarray, rng: np.random.Generator) -> Sample:
+    """Of buildings ``index`` (b,), in single precision."""
+    return Sample(*draw_batch(roofs, index, rng)).each(
+        lambda each: each if each.dtype == bool else each.astype(np.float32)
+    )

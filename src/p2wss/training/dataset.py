@@ -13,7 +13,7 @@ import torch
 
 from p2wss.config import Dvae, Model
 from p2wss.data.seeds import generator
-from p2wss.nets.batch import SEED_STRIDE, Batch, thin
+from p2wss.nets.batch import SEED_STRIDE, Batch, cut
 
 # batches are sorted by length within a window of so many batches, so that few positions are padding
 _WINDOW_BATCHES = 8
@@ -92,20 +92,17 @@ class BuildingDataset:
         num_all = np.diff(self.point_offset)[index]
         if on_building is not None:
             num_all = np.where(on_building, self.num_on_building[index], num_all)
-        count = np.minimum(num_all, num_points)
+        states = num_all if seed is None else index
+        seeds = states.astype(np.uint64) * np.uint64(SEED_STRIDE) + np.uint64(seed or 0)
+        points = cut(self.points_cm, self.point_offset[index], num_all, num_points, seeds)
         num_vertices = self.num_vertices[index]
-        points = np.zeros((len(index), count.max(), 3), np.float32)
-        xy = np.zeros((len(index), max(num_vertices.max(), 1), 2), np.float32)
-        angle = np.zeros(xy.shape[:2], np.float32)
-        for row, building in enumerate(index):
-            cloud = self.cloud_cm(building)[: num_all[row]]
-            state = None if seed is None else int(building) * SEED_STRIDE + seed
-            points[row, : count[row]] = cloud[thin(len(cloud), num_points, state)]
-            xy[row, : num_vertices[row]] = self.ring_m(building)
-            angle[row, : num_vertices[row]] = self.edge_angles_deg(building)
+        is_vertex = np.arange(max(num_vertices.max(), 1)) < num_vertices[:, None]
+        vertex = (self.vertex_offset[index][:, None] + np.arange(is_vertex.shape[1]))[is_vertex]
+        xy, angle = np.zeros((*is_vertex.shape, 2), np.float32), np.zeros(is_vertex.shape, np.float32)
+        xy[is_vertex], angle[is_vertex] = self.xy_m[vertex], self.angle_deg[vertex]
         return Batch(
-            points=torch.from_numpy(points) * 0.01,
-            valid=torch.from_numpy(np.arange(points.shape[1]) < count[:, None]),
+            points=torch.from_numpy(points),
+            valid=torch.from_numpy(np.arange(points.shape[1]) < num_all[:, None]),
             ground_z=torch.from_numpy(self.ground_z_m[index]),
             height=torch.from_numpy(self.height_m[index]),
             xy=torch.from_numpy(xy),

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
@@ -43,17 +46,24 @@ class DrawnRoofs(NamedTuple):
     neighbour: np.ndarray
 
 
-def draw_roofs(seed: int, share: float = 1.0) -> DrawnRoofs:
-    """The roofs of towns of all kinds. share: of the towns, rounded up."""
-    parts: list[DrawnRoofs] = []
-    for kind, (draw, number) in KINDS.items():
-        for town in range(int(np.ceil(share * number))):
-            rng = np.random.default_rng([seed, *kind.encode(), town])
-            part = _sampled(draw(rng), rng)
-            first = sum(len(each.z) for each in parts)
-            neighbour = np.where(part.neighbour < 0, -1, part.neighbour + first)
-            parts.append(part._replace(neighbour=neighbour))
+def draw_roofs(seed: int, share: float = 1.0, num_processes: int = 1) -> DrawnRoofs:
+    """The roofs of towns of all kinds, the same whatever the number of processes. share: of the towns, rounded up."""
+    towns = [(kind, town) for kind, (_, num) in KINDS.items() for town in range(int(np.ceil(share * num)))]
+    if num_processes == 1:
+        drawn = [_roofs_of_town(seed, *town) for town in towns]
+    else:
+        with ProcessPoolExecutor(num_processes, mp_context=get_context("fork")) as pool:
+            drawn = list(pool.map(partial(_roofs_of_town, seed), *zip(*towns, strict=True)))
+    first, parts = 0, []
+    for part in drawn:
+        parts.append(part._replace(neighbour=np.where(part.neighbour < 0, -1, part.neighbour + first)))
+        first += len(part.z)
     return DrawnRoofs(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _roofs_of_town(seed: int, kind: str, town: int) -> DrawnRoofs:
+    rng = np.random.default_rng([seed, *kind.encode(), town])
+    return _sampled(KINDS[kind][0](rng), rng)
 
 
 def _sampled(town: Sequence[DrawnBuilding], rng: np.random.Generator) -> DrawnRoofs:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import compute, distributed
-from p2wss.nets.batch import NETWORK_SCALE, batch_patches, centre
+from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
@@ -65,23 +65,28 @@ class DvaeTask:
         self.training_set = training_set
         self.validation_set = validation_set
         self.device = next(module.parameters()).device
+        compute.compile_parts(module, (DiscreteVae,))
         self.num_dead_codes = 0
         self.progress = 0.0
         self.sampler = BatchSampler(np.zeros(len(training_set)), config.optimiser.batch_size, config.seed)
 
-    def step(self, step: int) -> dict[str, Tensor]:
-        config = self.config
-        seed = derive_seed(config.seed, "dvae", "points", step)
+    def load(self, step: int) -> Batch:
+        seed = derive_seed(self.config.seed, "dvae", "points", step)
         index = distributed.shard(self.sampler.batch(step))
-        batch = self.training_set.batch(index, config.num_points, seed)
-        batch = augment.rotate_randomly(centre(batch.to(self.device)))
+        return self.training_set.batch(index, self.config.num_points, seed).staged(self.device)
+
+    def step(self, step: int, loaded: Batch) -> dict[str, Tensor]:
+        config = self.config
+        batch = augment.rotate_randomly(centre(loaded.to(self.device)))
         progress = self.progress = step / config.optimiser.num_steps
         tau = temperature(progress, config.temperature_end)
         patches = batch_patches(batch, config)
         with compute.autocast(config.compute, self.device):
-            losses = self.module(patches, tau)
+            losses = self.module(patches, torch.full((), tau, device=self.device))
         weight = kl_weight(progress, config.kl_weight)
-        code_count = torch.bincount(losses.pop("codes").flatten(), minlength=config.num_tokens)
+        codes = losses.pop("codes").flatten()
+        # on a GPU, bincount would wait for the codes
+        code_count = codes.new_zeros(config.num_tokens).index_add_(0, codes, torch.ones_like(codes))
         return {
             "loss": losses["coarse"] + losses["fine"] + weight * losses["kl"],
             **losses,
@@ -101,7 +106,7 @@ class DvaeTask:
             index = np.arange(first, min(first + size, total))
             batch = centre(self.validation_set.batch(index, config.num_points, None).to(self.device))
             patches = batch_patches(batch, config)
-            losses = module(patches, config.temperature_end)
+            losses = module(patches, torch.full((), config.temperature_end, device=self.device))
             chamfer += float(losses["fine"]) * len(index)
             codes = losses["codes"][patches.valid]
             code_count += torch.bincount(codes, minlength=config.num_tokens)

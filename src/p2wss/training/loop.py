@@ -11,6 +11,7 @@ import math
 import os
 import signal
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +51,10 @@ class Task(Protocol):
     def module(self) -> nn.Module:
         """The network."""
 
-    def step(self, step: int) -> dict[str, Tensor]:
+    def load(self, step: int) -> Any:
+        """What the host prepares for ``step``: in another thread, while the step before is taken."""
+
+    def step(self, step: int, loaded: Any) -> dict[str, Tensor]:
         """Losses of the batch of ``step``; the one named ``loss`` is minimised, the others are logged."""
 
     def validate(self, module: nn.Module) -> dict[str, float]:
@@ -72,10 +76,17 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
     start = state.resume(checkpoints, identity)
     if [line["code"] for line in state.metrics if "code" in line][-1:] != [code]:
         state.metrics.append({"step": start, "code": code})
-    with _stop_request() as is_stop_requested, Progress("training", num_steps, "steps", start) as progress:
+    with (
+        _stop_request() as is_stop_requested,
+        ThreadPoolExecutor(1) as loader,
+        Progress("training", num_steps, "steps", start) as progress,
+    ):
+        loading = loader.submit(task.load, start)
         for step in range(start, num_steps):
-            rate = state.learning_rate
-            losses = _take_step(task, state, plan, step)
+            rate, loaded = state.learning_rate, loading.result()
+            if step + 1 < num_steps:
+                loading = loader.submit(task.load, step + 1)
+            losses = _take_step(task, state, plan, step, loaded)
             done = step + 1
             ends = num_steps, num_steady_steps(plan.optimiser)
             checkpoint_due = done % plan.checkpoint_every_steps == 0 or done in ends
@@ -111,13 +122,13 @@ def training_config(config: Section) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude=exclude, context=IDENTITY)
 
 
-def _take_step(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[str, Tensor]:
+def _take_step(task: Task, state: TrainingState, plan: Plan, step: int, loaded: Any) -> dict[str, Tensor]:
     """One step of the optimiser. Returns the losses, which are numbers."""
     # processes must not draw the same noise for different rows
     names = [distributed.rank()] if distributed.num_processes() > 1 else []
     torch.manual_seed(derive_seed(plan.seed, "step", step, *names))
     task.module.train()
-    losses = task.step(step)
+    losses = task.step(step, loaded)
     state.optimiser.zero_grad(set_to_none=True)
     losses["loss"].backward()
     distributed.average_gradients(task.module)
@@ -130,7 +141,8 @@ def _validate(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[s
     torch.manual_seed(derive_seed(plan.seed, "validate", step))
     module = task.module
     module.eval()
-    with torch.no_grad():
+    # batches of other sizes, for which compiled parts would be compiled again
+    with torch.no_grad(), torch.compiler.set_stance("force_eager"):
         measures = task.validate(module)
     log.info("step %d: %s", step, ", ".join(f"{name} {value:.4g}" for name, value in measures.items()))
     return measures

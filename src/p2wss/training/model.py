@@ -19,9 +19,11 @@ from p2wss.config import Model as ModelConfig
 from p2wss.data.seeds import derive_seed, generator
 from p2wss.nets import compute, distributed
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
-from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.point2wss import Point2Wss, inference_weights
+from p2wss.nets.discrete_vae import Dgcnn, DiscreteVae, MiniPointNet
+from p2wss.nets.point2wss import Group, Point2Wss, inference_weights
 from p2wss.nets.predictor import Point2WssPredictor
+from p2wss.nets.tokenizer import Tokenizer
+from p2wss.nets.transformer import Block
 from p2wss.nets.weights import load_dvae, load_model
 from p2wss.storage import files
 from p2wss.training import augment, loop
@@ -83,6 +85,8 @@ class ModelTask:
         self.vae = vae
         self.config = config = module.config
         self.device = next(module.parameters()).device
+        for network in (module, vae):
+            compute.compile_parts(network, (Block, MiniPointNet, Dgcnn))
         self.training_set = training_set
         self.validation_set = validation_set
         # of equal lengths, all are similar
@@ -91,14 +95,26 @@ class ModelTask:
         self.median_height = float(np.median(training_set.height_m))
         self.median_angle = float(np.median(training_set.angle_deg))
 
-    def step(self, step: int) -> dict[str, Tensor]:
+    def load(self, step: int) -> tuple[Batch, list[Group]]:
         config, dvae_config = self.config, self.module.dvae_config
         seed = derive_seed(config.seed, "model", "points", step)
         index = distributed.shard(self.sampler.batch(step))
         on_building = generator(seed).random(len(index)) < config.augmentation.on_building_share
         on_building &= self.training_set.num_on_building[index] >= dvae_config.min_points
-        batch = self.training_set.batch(index, dvae_config.num_points, seed, on_building).to(self.device)
-        batch = augment_batch(batch, config.augmentation, dvae_config.min_points)
+        num_vertices = self.training_set.num_vertices[index]
+        groups = []
+        # the auxiliary losses are those of the first rows, which may not be those of few vertices
+        if config.auxiliary_share in (0, 1):
+            order = np.argsort(num_vertices, kind="stable")
+            index, on_building, num_vertices = index[order], on_building[order], num_vertices[order]
+            groups = length_groups(num_vertices, self.module.tokenizer)
+        batch = self.training_set.batch(index, dvae_config.num_points, seed, on_building)
+        return batch.staged(self.device), groups
+
+    def step(self, step: int, loaded: tuple[Batch, list[Group]]) -> dict[str, Tensor]:
+        config, dvae_config = self.config, self.module.dvae_config
+        batch, groups = loaded
+        batch = augment_batch(batch.to(self.device), config.augmentation, dvae_config.min_points)
         tokenizer = self.module.tokenizer
         parameters, _ = tokenizer.canonical(
             tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
@@ -106,7 +122,7 @@ class ModelTask:
         tokens = tokenizer.encode(parameters)
         given, wanted = mask_parameters(tokenizer, parameters, tokens, config.masking)
         patches = batch_patches(batch, dvae_config)
-        auxiliary = patches[: math.ceil(config.auxiliary_share * len(index))]
+        auxiliary = patches[: math.ceil(config.auxiliary_share * len(tokens))]
         patch_masked = mask_patches(auxiliary, config.masking.patch_ratio)
         with compute.autocast(config.compute, self.device):
             losses = self.module.losses(
@@ -118,6 +134,7 @@ class ModelTask:
                 given,
                 wanted,
                 batch.num_vertices,
+                groups,
             )
         weights = config.loss_weights.model_dump()
         total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()  # equation 5
@@ -152,6 +169,17 @@ def prediction_errors(
         for i, predicted in zip(index, prediction.angle_deg, strict=True)
     ]
     return prediction.eave_height_m - dataset.height_m[index], np.concatenate(angle)
+
+
+def length_groups(num_vertices: np.ndarray, tokenizer: Tokenizer) -> list[Group]:
+    """Groups of ascending ``num_vertices`` (b,), so that little is padding: up to 4, 8, 16 and so on."""
+    bucket = np.maximum(np.ceil(np.log2(num_vertices)), 2)
+    start = np.flatnonzero(np.diff(bucket, prepend=0))
+    stop = [*start[1:], len(bucket)]
+    return [
+        Group(slice(int(a), int(b)), tokenizer.length(int(num_vertices[b - 1])))
+        for a, b in zip(start, stop, strict=True)
+    ]
 
 
 def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batch:

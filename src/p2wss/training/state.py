@@ -33,7 +33,7 @@ class TrainingState:
             _parameter_groups(module, settings.weight_decay),
             lr=1.0,  # the schedule's factor is the rate itself
             betas=(0.9, settings.beta2),
-            foreach=True,
+            **({"fused": True} if next(module.parameters()).is_cuda else {"foreach": True}),
         )
         self.schedule = LambdaLR(self.optimiser, lambda step: learning_rate(step, settings))
         self.metrics: list[dict[str, Any]] = []

@@ -20,6 +20,7 @@ from p2wss.nets.tokenizer import (
     MASK,
     Tokenizer,
 )
+from p2wss.training.model import length_groups
 from p2wss.training.masking import mask_patches
 
 from .test_tokenizer import FORMATS, buildings, length
@@ -202,6 +203,26 @@ def test_losses_start_near_chance_and_reach_every_weight() -> None:
     assert idle == []
 
 
+def test_losses_do_not_depend_on_groups() -> None:
+    """Into which a batch is divided, so that short sequences are not padded to the longest."""
+    model = network().eval()
+    patches, tokens, num = sample(8)
+    order = num.argsort(stable=True)
+    tokens, num = tokens[order], num[order]
+    wanted = torch.rand(tokens.shape) < 0.3
+    wanted &= Tokenizer().kinds(tokens.shape, num) > KIND_FRAME
+    arguments = (
+        patches, torch.zeros(8), mask_patches(patches, (0.25, 0.45)),
+        torch.randint(20, (8, 12)), tokens, tokens.masked_fill(wanted, MASK), wanted, num,
+    )  # fmt: skip
+    groups = length_groups(num.numpy(), Tokenizer())
+    assert len(groups) > 1 and groups[0].length < groups[-1].length == tokens.shape[1]
+    expected, divided = model.losses(*arguments), model.losses(*arguments, groups)
+    assert expected.keys() == divided.keys()
+    for name, value in expected.items():
+        assert torch.allclose(divided[name], value, atol=1e-5), name
+
+
 def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
     model = network().eval()
     patches, tokens, num = sample(8)
@@ -281,14 +302,14 @@ def test_the_loss_of_numbers_is_least_at_their_values() -> None:
     x[:, 2] = torch.stack([torch.round(height.float() * 100) / 1000, torch.zeros(2)], -1)
 
     def loss(x: torch.Tensor) -> float:
-        return float(head.loss(x, tokens, kind == KIND_HEIGHT, tok.token_value))
+        return float(head.likelihood(x, tokens, kind == KIND_HEIGHT, tok.token_value).mean())
 
     assert loss(x) == pytest.approx(0, abs=1e-5)
     for shift in (-0.1, 0.1):
         other = x.clone()
         other[0, 2, 0] += shift
         assert loss(other) == pytest.approx(0.05, abs=1e-5)
-    assert float(head.loss(x, tokens, kind == KIND_ANGLE, tok.token_value)) > 40
+    assert float(head.likelihood(x, tokens, kind == KIND_ANGLE, tok.token_value).mean()) > 40
 
 
 def test_inference_needs_only_the_parts_that_are_kept() -> None:

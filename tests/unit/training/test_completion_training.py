@@ -95,15 +95,15 @@ def test_a_batch_is_learnt(roofs: DrawnRoofs) -> None:
     """The loss that is minimised becomes that of heights known to decimetres."""
     torch.manual_seed(0)
     task = completion.CompletionTask(RoofCompletion(), roofs, 8, 0)
-    optimiser = torch.optim.Adam(task.module.parameters(), 1e-3)
+    optimiser = torch.optim.Adam(task.module.parameters(), 3e-4)
     losses = []
     for _ in range(40):
-        loss = task.step(0)["loss"]
+        loss = task.step(0, task.load(0))["loss"]
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses.append(loss.item())
-    assert losses[-1] < losses[0] - 1.5
+    assert np.mean(losses[-5:]) < losses[0] - 1.5
 
 
 def test_a_loss_that_is_not_finite_is_one_line(

@@ -87,7 +87,10 @@ class Line:
         torch.manual_seed(0)
         self.module = nn.Sequential(nn.Linear(2, 8, bias=False), BatchNorm(8), nn.ReLU(), nn.Linear(8, 1))
 
-    def step(self, step: int) -> dict[str, Tensor]:
+    def load(self, step: int) -> None:
+        """It reads nothing."""
+
+    def step(self, step: int, loaded: None) -> dict[str, Tensor]:
         x = rows(torch.randn(NUM, 2, generator=torch.Generator().manual_seed(step)))
         return {"loss": (self.module(x)[:, 0] - x.sum(1)).square().mean()}
 

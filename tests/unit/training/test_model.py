@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,10 +90,10 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     expected = model.train(*data, tmp_path / "one", "x").state_dict()
     real = model.ModelTask.step
 
-    def dies(self: model.ModelTask, step: int) -> dict[str, torch.Tensor]:
+    def dies(self: model.ModelTask, step: int, loaded: Any) -> dict[str, torch.Tensor]:
         if step == 7:
             raise KeyboardInterrupt
-        return real(self, step)
+        return real(self, step, loaded)
 
     monkeypatch.setattr(model.ModelTask, "step", dies)
     with pytest.raises(KeyboardInterrupt):
@@ -109,7 +110,7 @@ def test_the_papers_start_and_batches_are_others(
     """The weights before the first step, or the lengths by which batches are made, differ by the setting."""
     seen: dict[bool, tuple[torch.Tensor, list[int]]] = {}
 
-    def stops(self: model.ModelTask, step: int) -> dict[str, torch.Tensor]:
+    def stops(self: model.ModelTask, step: int, loaded: Any) -> dict[str, torch.Tensor]:
         weights = torch.cat([each.detach().ravel() for each in self.module.cloud.embed.parameters()])
         seen[value] = weights, self.sampler.num_vertices.tolist()
         raise StopIteration

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -48,7 +49,10 @@ class Line:
         )
         self.stop_after, self.poison = stop_after, poison
 
-    def step(self, step: int) -> dict[str, Tensor]:
+    def load(self, step: int) -> None:
+        """It reads nothing."""
+
+    def step(self, step: int, loaded: Any) -> dict[str, Tensor]:
         if step == self.stop_after:
             os.kill(os.getpid(), signal.SIGTERM)
         x = torch.randn(8, 2)
@@ -94,11 +98,11 @@ def test_a_training_stops_with_a_checkpoint_once_its_snakemake_has_ended(
     snakemake = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
 
     class Orphan(Line):
-        def step(self, step: int) -> dict[str, Tensor]:
+        def step(self, step: int, loaded: Any) -> dict[str, Tensor]:
             if step == 33:
                 snakemake.kill()
                 snakemake.wait()
-            return super().step(step)
+            return super().step(step, loaded)
 
     monkeypatch.setenv(loop.WORKFLOW_VARIABLE, str(snakemake.pid))
     with pytest.raises(SystemExit) as stopped:
@@ -113,10 +117,10 @@ def test_a_kill_without_warning_repeats_the_steps_since_the_last_checkpoint(tmp_
     expected = run(tmp_path / "one", Line())
 
     class Killed(Line):
-        def step(self, step: int) -> dict[str, Tensor]:
+        def step(self, step: int, loaded: Any) -> dict[str, Tensor]:
             if step == 47:
                 raise KeyboardInterrupt
-            return super().step(step)
+            return super().step(step, loaded)
 
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "two", Killed())
@@ -168,9 +172,9 @@ def test_a_training_with_a_constant_rate_can_be_extended(tmp_path: Path, longer:
     steps = []
 
     class Counted(Line):
-        def step(self, step: int) -> dict[str, Tensor]:
+        def step(self, step: int, loaded: Any) -> dict[str, Tensor]:
             steps.append(step)
-            return super().step(step)
+            return super().step(step, loaded)
 
     extended = run(tmp_path / "one", Counted(), ramp_steps=8, num_steps=longer)
     assert steps == list(range(52, longer))
