@@ -25,6 +25,13 @@ from p2wss.storage.provenance import fingerprint
 @option(
     "--batch-size", type=click.IntRange(min=2), default=1024, show_default=True, help="buildings of a batch"
 )
+@option(
+    "--compile",
+    "is_compiled",
+    is_flag=True,
+    more=True,
+    help="compile the network at first: faster steps on a GPU",
+)
 @common.device_option
 def completion(
     out: Path,
@@ -33,6 +40,7 @@ def completion(
     threads: int,
     num_steps: int,
     batch_size: int,
+    is_compiled: bool,
     device: DeviceName,
 ) -> None:
     """Train the network that completes roofs of few points, on towns that it draws."""
@@ -51,5 +59,7 @@ def completion(
         weight_decay=0.02,
     )
     with training_lock(checkpoints):
-        module = completion.train(optimiser, device, checkpoints, code, num_processes=threads)
+        module = completion.train(
+            optimiser, device, checkpoints, code, num_processes=threads, is_compiled=is_compiled
+        )
         common.write_trained(checkpoints, out_metrics, partial(completion.save_completion, module, out, code))

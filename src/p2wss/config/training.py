@@ -39,12 +39,18 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 class Compute(Section):
     """Where and how training runs; it affects results only by rounding."""
 
+    neutral: ClassVar = {"compile": False}
     device: DeviceName = Field("auto", description="where to train; auto = a GPU if there is one")
     num_gpus: int = Field(
         1,
         ge=1,
         description="number of processes of the training in the workflow, started by torchrun: one per GPU, "
         "or as many on CPUs; the resource gpu of a profile takes precedence",
+    )
+    compile: bool = Field(
+        False,
+        description="compile the networks when a training begins (torch.compile): steps are faster after a minute or "
+        "more; for one process, on a GPU",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="precision of matrix products (autocast); weights and losses stay in float32"

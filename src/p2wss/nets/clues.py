@@ -80,9 +80,7 @@ def features_of(clues: Clues, xp: Any = np) -> Features:
     to_edge = from_edges(at_m)
     distance = xp.concatenate([_length(at_m[:, :, None] - point[:, None, :, :2], xp), to_edge], axis=2)
     offset = clues.place[:, :, None] - at_m[:, None]
-    place_distance = xp.concatenate(
-        [_length(offset[:, :, :num_points], xp), from_edges(clues.place)], axis=2
-    )
+    place_distance = xp.concatenate([_length(offset[:, :, :num_points], xp), from_edges(clues.place)], axis=2)
     ahead = xp.stack([xp.ones_like(point[..., 0]), xp.zeros_like(point[..., 0])], axis=-1)
     counted = xp.broadcast_to(count[:, None, None], (*at_m.shape[:2], 1))
     nearest = xp.amin(to_edge[:, :num_points], axis=2, keepdims=True)

@@ -6,7 +6,8 @@ import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import cache
-from typing import Any, ParamSpec, TypeVar
+from types import MethodType
+from typing import ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +17,8 @@ from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
 
 P, T = ParamSpec("P"), TypeVar("T")
+# of torch.compile
+COMPILER = "inductor"
 
 
 def device_of(name: DeviceName) -> torch.device:
@@ -38,25 +41,22 @@ def staged(tensor: Tensor, device: torch.device) -> Tensor:
     return tensor.pin_memory() if device.type == "cuda" else tensor
 
 
-def compiled(function: Callable[P, T], device: torch.device) -> Callable[P, T]:
-    """The function, compiled on a GPU, for one size of batches."""
-    return _compiled(function) if device.type == "cuda" else function
-
-
 @cache
-def _compiled(function: Any) -> Any:
-    return torch.compile(function)
+def compiled(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, compiled when it is called: many small operations become few. It is traced as a whole."""
+    return torch.compile(function, dynamic=True, fullgraph=True, backend=COMPILER)
 
 
 def compile_parts(module: nn.Module, kinds: tuple[type[nn.Module], ...]) -> None:
-    """Compile the parts of these kinds, on a GPU: their many small operations become few.
+    """Compile the parts of these kinds; those of a kind share their code.
 
     Not of several processes, which exchange the moments of batch norms within a part.
     """
-    if next(module.parameters()).device.type == "cuda" and distributed.num_processes() == 1:
-        for part in module.modules():
-            if isinstance(part, kinds):
-                part.compile(dynamic=True)
+    if distributed.num_processes() > 1:
+        return
+    for part in module.modules():
+        if isinstance(part, kinds):
+            part.forward = MethodType(compiled(type(part).forward), part)
 
 
 def autocast(compute: Compute, device: torch.device) -> AbstractContextManager[object]:

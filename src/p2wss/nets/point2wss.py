@@ -330,11 +330,14 @@ class Point2Wss(nn.Module):
         if not num_first:
             return losses
         cloud_logits = self.cloud_head(whole["cloud_fused"][:, 1:][patch_masked])
-        return losses | {
-            "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
-            "modal": self._modal_loss(cloud[:num_first, 0], whole["sequence"]),  # (3)
-            "match": self._match_loss(whole["cloud_fused"][:, 0], whole["fused"]),  # (4)
-        }
+        return (
+            losses
+            | {
+                "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
+                "modal": self._modal_loss(cloud[:num_first, 0], whole["sequence"]),  # (3)
+                "match": self._match_loss(whole["cloud_fused"][:, 0], whole["fused"]),  # (4)
+            }
+        )
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
         """Equation 3 over all pairs of (b, dim) features, of all processes."""

@@ -35,13 +35,16 @@ class DropPath(nn.Module):
 
     def __init__(self, rate: float) -> None:
         super().__init__()
-        self.rate = rate
+        self.is_used = rate > 0
+        # a tensor, as code would be compiled anew for each number
+        self.register_buffer("rate", torch.tensor(rate, dtype=torch.float32), persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        if self.rate == 0 or not self.training:
+        if not self.is_used or not self.training:
             return x
-        keep = torch.rand(len(x), *[1] * (x.ndim - 1), device=x.device, dtype=torch.float32) >= self.rate
-        return x * keep / (1 - self.rate)
+        rate = self.get_buffer("rate")
+        keep = torch.rand(len(x), *[1] * (x.ndim - 1), device=x.device, dtype=torch.float32) >= rate
+        return x * keep / (1 - rate)
 
 
 class Mlp(nn.Sequential):

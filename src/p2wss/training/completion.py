@@ -36,14 +36,18 @@ def train(
     code: str,
     seed: int = 0,
     num_processes: int = 1,
+    is_compiled: bool = False,
 ) -> RoofCompletion:
     """Train on towns drawn with ``seed``; see :func:`loop.train`. Of several processes this one trains, while the
     others draw."""
     torch.manual_seed(derive_seed(seed, KIND, "weights"))
     module = RoofCompletion()
     roofs = draw_roofs(seed, num_processes=num_processes)
-    task = CompletionTask(module, roofs, optimiser.batch_size, seed, num_processes - 1)
+    task = CompletionTask(module, roofs, optimiser.batch_size, seed, num_processes - 1, is_compiled)
+    # after the forks, which have no GPU
     module.to(compute.device_of(device))
+    # TF32, of ten bits: centimetres of ten metres
+    torch.backends.cuda.matmul.allow_tf32 = True
     plan = loop.Plan(seed, optimiser, _CHECKPOINT_EVERY_STEPS)
     identity = {
         "stage": KIND,
@@ -79,12 +83,19 @@ class CompletionTask:
     """The training as a :class:`p2wss.training.loop.Task`. ``num_forks`` processes draw the batches."""
 
     def __init__(
-        self, module: RoofCompletion, roofs: DrawnRoofs, batch_size: int, seed: int, num_forks: int = 0
+        self,
+        module: RoofCompletion,
+        roofs: DrawnRoofs,
+        batch_size: int,
+        seed: int,
+        num_forks: int = 0,
+        is_compiled: bool = False,
     ) -> None:
         self.module, self.roofs, self.batch_size, self.seed = module, roofs, batch_size, seed
         shuffled = np.random.default_rng(seed).permutation(len(roofs.z))
         self.held_out, self.index = np.split(shuffled, [max(int(_VALIDATION_SHARE * len(shuffled)), 1)])
         self.batches = Forks(self._draw, num_forks)
+        self._loss_of = compute.compiled(loss_of) if is_compiled else loss_of
 
     @property
     def device(self) -> torch.device:
@@ -94,8 +105,7 @@ class CompletionTask:
         return self.batches[step].each(lambda each: compute.staged(torch.from_numpy(each), self.device))
 
     def step(self, step: int, loaded: Sample) -> dict[str, Tensor]:
-        loss = compute.compiled(loss_of, self.device)
-        return {"loss": loss(self.module, loaded.each(self._on_device))}
+        return {"loss": self._loss_of(self.module, loaded.each(self._on_device))}
 
     def validate(self, module: nn.Module) -> dict[str, float]:
         assert isinstance(module, RoofCompletion)

@@ -65,7 +65,8 @@ class DvaeTask:
         self.training_set = training_set
         self.validation_set = validation_set
         self.device = next(module.parameters()).device
-        compute.compile_parts(module, (DiscreteVae,))
+        if config.compute.compile:
+            compute.compile_parts(module, (DiscreteVae,))
         self.num_dead_codes = 0
         self.progress = 0.0
         self.sampler = BatchSampler(np.zeros(len(training_set)), config.optimiser.batch_size, config.seed)

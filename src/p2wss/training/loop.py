@@ -115,7 +115,7 @@ def training_config(config: Section) -> dict[str, Any]:
     For how many steps a checkpoint was made is compared by :meth:`TrainingState.resume`.
     """
     exclude: Any = {
-        "compute": {"device", "num_gpus"},
+        "compute": {"device", "num_gpus", "compile"},
         "optimiser": {"num_steps", "ramp_steps"},
         **dict.fromkeys(("checkpoint_every_steps", "decoding", "num_validation", "start"), True),
     }

@@ -85,8 +85,9 @@ class ModelTask:
         self.vae = vae
         self.config = config = module.config
         self.device = next(module.parameters()).device
-        for network in (module, vae):
-            compute.compile_parts(network, (Block, MiniPointNet, Dgcnn))
+        if config.compute.compile:
+            for network in (module, vae):
+                compute.compile_parts(network, (Block, MiniPointNet, Dgcnn))
         self.training_set = training_set
         self.validation_set = validation_set
         # of equal lengths, all are similar

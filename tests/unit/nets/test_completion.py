@@ -52,6 +52,10 @@ def tensors(features: Features) -> list[torch.Tensor]:
     ]
 
 
+def tensors_type(array: np.ndarray) -> torch.dtype:
+    return torch.from_numpy(array).dtype
+
+
 @pytest.mark.parametrize(("num", "num_around", "num_vertices"), [(3, 0, 4), (17, 5, 9), (64, 24, 24)])
 def test_arrays_alone_give_what_torch_gives(num: int, num_around: int, num_vertices: int) -> None:
     torch.manual_seed(num)
@@ -65,6 +69,14 @@ def test_arrays_alone_give_what_torch_gives(num: int, num_around: int, num_verti
     assert z == pytest.approx(expected.z[0].numpy(), abs=1e-5)
     assert slope == pytest.approx(expected.slope[0].numpy(), abs=1e-5)
     assert logit == pytest.approx(expected.logit[0].numpy(), rel=1e-5, abs=1e-4)
+
+
+def test_features_of_tensors_are_those_of_arrays() -> None:
+    given = clues(17, 5, 9, np.random.default_rng(2))
+    single = Clues(*(torch.from_numpy(e if e.dtype == bool else e.astype(np.float32)) for e in given))
+    for expected, feature in zip(features_of(given), features_of(single, torch), strict=True):
+        assert feature.dtype == (torch.float32 if expected.dtype == float else tensors_type(expected))
+        assert feature.numpy() == pytest.approx(expected, abs=1e-5)
 
 
 def test_padding_says_nothing() -> None:

@@ -20,8 +20,8 @@ from p2wss.nets.tokenizer import (
     MASK,
     Tokenizer,
 )
-from p2wss.training.model import length_groups
 from p2wss.training.masking import mask_patches
+from p2wss.training.model import length_groups
 
 from .test_tokenizer import FORMATS, buildings, length
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,17 @@ def test_samples_are_deterministic_and_vary(roofs: DrawnRoofs) -> None:
     for one, same in zip((*first[0], *first[1:]), (*again[0], *again[1:]), strict=True):
         assert np.array_equal(one, same)
     assert not np.array_equal(first[1], other[1])
+
+
+def test_batches_of_forks_are_those_of_one_process(few_towns: None) -> None:
+    one, many = (draw_roofs(5, num_processes=num) for num in (1, 3))
+    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(one, many, strict=True))
+    alone = completion.CompletionTask(RoofCompletion(), one, 4, 0)
+    with closing(completion.CompletionTask(RoofCompletion(), many, 4, 0, num_forks=3).batches) as batches:
+        for step in range(7, 15):
+            drawn, expected = batches[step], alone.batches[step]
+            pairs = zip((*drawn.clues, *drawn[1:]), (*expected.clues, *expected[1:]), strict=True)
+            assert all(np.array_equal(*pair) and pair[0].dtype in (bool, np.float32) for pair in pairs)
 
 
 def test_heights_and_slopes_of_a_batch_fit_each_other(roofs: DrawnRoofs) -> None:
