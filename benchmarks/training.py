@@ -1,11 +1,14 @@
-"""Speed of loading, of both training stages and of inference.
+"""Speed of drawing, of both training stages and of inference.
 
     python benchmarks/training.py [--config config/models/cpu.yaml ..] [--num 4000] [--steps 3] [--batch N]
     python benchmarks/training.py --config config/models/gpu.yaml --device cuda --steps 20
 
-All speeds are CPU time of one thread, or on a GPU the time that passes, on random clouds and footprints. The fastest
-step counts for the dvae, the mean for the model, whose batches differ. ``--batch`` sets the batch size of both, in
-float32, for large networks on few cores; with it and on a GPU there is no inference.
+``--config`` can switch ``compute.compile`` on; the completion is always compiled on a GPU.
+
+All speeds are CPU time of one thread, or on a GPU the time that passes. Clouds and footprints are random. The loader's
+share of a step is the time for which it waits for its batch. The fastest step counts for the dvae, the mean for the
+model, whose batches differ. ``--batch`` sets the batch size of both, in float32, for large networks on few cores; with
+it and on a GPU there is no inference.
 """
 
 from __future__ import annotations
@@ -17,19 +20,24 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
-from figures import Figures, peak_mib
+from figures import Figures, cpu_seconds, peak_mib
 
-from p2wss.config import Config, load
+from p2wss.config import Config, Optimiser, load
 from p2wss.nets import compute
+from p2wss.nets.completion import RoofCompletion
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
+from p2wss.training.completion import CompletionTask
 from p2wss.training.dataset import BuildingDataset
+from p2wss.training.drawn_roofs import draw_batch, draw_roofs
 from p2wss.training.dvae import DvaeTask
+from p2wss.training.loop import Task
 from p2wss.training.model import ModelTask
 from p2wss.training.state import TrainingState
 
@@ -37,6 +45,8 @@ from p2wss.training.state import TrainingState
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
 # steps on a GPU before those that are measured: code is compiled in them
 _NUM_COMPILING = 8
+# processes that draw for the completion on a GPU
+_NUM_FORKS = 7
 
 
 def town(num: int, seed: int = 0) -> BuildingDataset:
@@ -68,20 +78,22 @@ def clock_s(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def seconds_of_steps(task: DvaeTask | ModelTask, steps: int) -> tuple[np.ndarray, float]:
+def seconds_of_steps(task: Task, optimiser: Optimiser, steps: int) -> tuple[np.ndarray, float]:
     """Seconds (steps,) of :func:`clock_s` of steps of training, and the share of it that was spent on batches: waiting
     for them on a GPU, where they are prepared one step ahead."""
-    device = task.device
+    device = next(task.module.parameters()).device
     num_first = 1 if device.type == "cpu" else _NUM_COMPILING
-    state = TrainingState(task.module, task.config.optimiser)
+    state = TrainingState(task.module, optimiser)
     took, waited = np.empty((2, num_first + steps))
     with ThreadPoolExecutor(1) as loader:
         loading = loader.submit(task.load, 0)
+        loading.result()
         for number in range(num_first + steps):
             start = clock_s(device)
-            begin = time.perf_counter()
-            loaded = loading.result() if device.type == "cuda" else task.load(number)
-            waited[number] = time.perf_counter() - begin
+            if device.type == "cpu":
+                loading = loader.submit(task.load, number)
+            loaded = loading.result()
+            waited[number] = clock_s(device) - start
             if device.type == "cuda":
                 loading = loader.submit(task.load, number + 1)
             task.module.train()
@@ -92,6 +104,23 @@ def seconds_of_steps(task: DvaeTask | ModelTask, steps: int) -> tuple[np.ndarray
             state.step()
             took[number] = clock_s(device) - start
     return took[num_first:], waited[num_first:].sum() / took[num_first:].sum()
+
+
+def drawing() -> float:
+    """Houses per CPU second that one process draws for the completion."""
+    roofs = draw_roofs(0, share=0.02)
+    index = np.random.default_rng(0).integers(len(roofs.z), size=1024)
+    return len(index) / cpu_seconds(lambda: draw_batch(roofs, index, np.random.default_rng(0)))
+
+
+def completion_steps(device: torch.device, steps: int) -> float:
+    """Seconds of a step of the completion with 1,024 houses, as ``p2wss completion --compile`` takes it."""
+    roofs = draw_roofs(0, share=0.02)
+    task = CompletionTask(RoofCompletion(), roofs, 1024, 0, _NUM_FORKS, is_compiled=True)
+    task.module.to(device)
+    with closing(task.batches):
+        took, _ = seconds_of_steps(task, Optimiser(), steps)
+    return float(np.median(took))
 
 
 def inference(config: Config, num: int) -> dict[str, float]:
@@ -132,17 +161,23 @@ def main() -> int:
     if options.inference:
         print(json.dumps(inference(config, options.inference)))
         return 0
-    buildings = town(options.num)
     figures = Figures()
+    figures.at_least("completion: houses/s drawn by one core", drawing(), 5000)
+    if device.type == "cuda":
+        step_s = completion_steps(device, options.steps)
+        figures.at_least("completion: steps/s", 1 / step_s, 13000 / 1200)
+    buildings = town(options.num)
     torch.manual_seed(0)
     vae = DiscreteVae(config.dvae).to(device)
-    took, share = seconds_of_steps(DvaeTask(vae, buildings, buildings), options.steps)
+    took, share = seconds_of_steps(DvaeTask(vae, buildings, buildings), config.dvae.optimiser, options.steps)
     figures.at_most("dvae: loader's share of a step", share, 0.05)
     figures.row("dvae", {"steps per second": 1 / took.min()})
     print(f"dvae   {1 / took.min():.3f} steps/s of {config.dvae.optimiser.batch_size} clouds")
     vae.eval().requires_grad_(False)
     network = Point2Wss(config.model, config.dvae).to(device)
-    took, share = seconds_of_steps(ModelTask(network, vae, buildings, buildings), options.steps)
+    took, share = seconds_of_steps(
+        ModelTask(network, vae, buildings, buildings), config.model.optimiser, options.steps
+    )
     figures.at_most("model: loader's share of a step", share, 0.05)
     figures.row("model", {"steps per second": 1 / took.mean()})
     print(f"model  {1 / took.mean():.3f} steps/s of {config.model.optimiser.batch_size} buildings")

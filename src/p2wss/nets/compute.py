@@ -16,7 +16,8 @@ from p2wss.config import Compute, DeviceName
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 # of torch.compile
 COMPILER = "inductor"
 

@@ -46,8 +46,6 @@ def train(
     task = CompletionTask(module, roofs, optimiser.batch_size, seed, num_processes - 1, is_compiled)
     # after the forks, which have no GPU
     module.to(compute.device_of(device))
-    # TF32, of ten bits: centimetres of ten metres
-    torch.backends.cuda.matmul.allow_tf32 = True
     plan = loop.Plan(seed, optimiser, _CHECKPOINT_EVERY_STEPS)
     identity = {
         "stage": KIND,
