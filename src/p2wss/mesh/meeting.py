@@ -21,9 +21,13 @@ _RANK = 1e-2
 # changes of planes that move no vertex by more than the square root of this share of themselves are not made
 _NO_CHANGE = 1e-10
 _NUM_ROUNDS = 4
+# how many planes away from where planes do not meet others still move
+_NUM_RINGS = 3
 _GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
 # so many planes and places that depend on each other are solved for together
-_TOGETHER = 200
+_TOGETHER = 60
+# so many unknowns are solved for by their few coefficients
+_SPARSE = 900
 # a triangle is turned over if twice its area along its former normal is less than minus this
 _NO_AREA_M2 = 1e-6
 
@@ -61,9 +65,13 @@ def with_meeting_planes(
     apart_m = _apart_m(row, point_m, at, plane)
     is_off = apart_m >= _EXACT_M
     if is_off.any():
+        moves = np.asarray(scale.any(axis=(1, 2)))
+        is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), bool))
         # places where planes depend on each other, as more meet than a point needs
-        moves, num_spare = np.asarray(scale.any(axis=(1, 2))), np.bincount(at) - _inverses(row[plane], at)[1]
-        is_linked = moves[plane] & (is_off | (num_spare > 0))[at]
+        here = np.isin(at, at[is_linked])
+        num_spare = np.bincount(at[here], minlength=len(first))
+        num_spare[np.unique(at[here])] -= _inverses(row[plane[here]], at[here])[1]
+        is_linked = _is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
         part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
         is_wrong = np.bincount(part[num:][is_off], minlength=part.max() + 1) > 0
         together = np.where(is_wrong, np.cumsum(np.bincount(part) * is_wrong) // _TOGETHER, -1)[part]
@@ -77,6 +85,19 @@ def with_meeting_planes(
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
     return moved, apart_m[place]
+
+
+def _is_near(
+    is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray, is_link: np.ndarray
+) -> np.ndarray:
+    """bool (k,): which pairs of a place and a plane that moves are few links away from where planes do not meet, bool
+    (n,): a change fades with the planes between, so that further ones stay. is_link: which pairs are links."""
+    is_link, is_near = is_link & moves[plane], is_off.copy()
+    for _ in range(_NUM_RINGS):
+        is_moved = np.zeros(len(moves), bool)
+        is_moved[plane[is_link & is_near[at]]] = True
+        is_near[at[is_link & is_moved[plane]]] = True
+    return np.asarray(is_link & is_moved[plane] & is_near[at])
 
 
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
@@ -172,9 +193,8 @@ def _met(
         if np.abs(off_m).max() < _EXACT_M:
             break
         lever = (point_m[at, None] @ scale[plane])[:, 0]
-        matrix, right = _sums(row[plane], off_m, lever, inverse, begin, unknown, num)
-        matrix.flat[:: 3 * num + 1] += _NO_CHANGE
-        change = np.linalg.solve(matrix, right).reshape(num, 3, 1)
+        place, share, right = _sums(row[plane], off_m, lever, inverse, begin, unknown, num)
+        change = _solved(place, share, right).reshape(num, 3, 1)
         row[moves] -= (scale[moves] @ change)[..., 0]
         inverse, _ = _inverses(row[plane], at)
         off_m = (row[plane] * point_m[at]).sum(axis=1)
@@ -202,20 +222,45 @@ def _sums(
     begin: np.ndarray,
     unknown: np.ndarray,
     num: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The normal equations of changes of ``num`` planes. row, off_m, lever: of each plane at each place, how far it is
-    from it, and how much further by its changes. unknown: the number of the plane, -1 if it stays."""
-    matrix, right = np.zeros((3 * num, 3 * num)), np.zeros(3 * num)
-    for place in range(len(inverse)):
-        for i in range(begin[place], begin[place + 1]):
-            for j in range(begin[place], begin[place + 1] if unknown[i] >= 0 else 0):
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(places in a square matrix, what is added there, right sides): the normal equations of changes of ``num`` planes.
+    row, off_m, lever: of each plane at each place, how far it is from it, and how much further by its changes. unknown:
+    the number of the plane, -1 if it stays."""
+    num_pairs = 0
+    for at in range(len(inverse)):
+        num_moved = (unknown[begin[at] : begin[at + 1]] >= 0).sum()
+        num_pairs += num_moved * num_moved
+    size = 3 * num
+    place, share = np.empty((num_pairs, 3, 3), np.int64), np.empty((num_pairs, 3, 3))
+    right, count = np.zeros(size), 0
+    for at in range(len(inverse)):
+        for i in range(begin[at], begin[at + 1]):
+            for j in range(begin[at], begin[at + 1] if unknown[i] >= 0 else 0):
                 # what is left of the distances of planes from a point wherever it is
                 apart = 1.0 if i == j else 0.0
                 for a in range(3):
                     for b in range(3):
-                        apart -= row[i, a] * inverse[place, a, b] * row[j, b]
+                        apart -= row[i, a] * inverse[at, a, b] * row[j, b]
                 for a in range(3):
                     right[3 * unknown[i] + a] += apart * off_m[j] * lever[i, a]
                     for b in range(3 if unknown[j] >= 0 else 0):
-                        matrix[3 * unknown[i] + a, 3 * unknown[j] + b] += apart * lever[i, a] * lever[j, b]
-    return matrix, right
+                        place[count, a, b] = size * (3 * unknown[i] + a) + 3 * unknown[j] + b
+                        share[count, a, b] = apart * lever[i, a] * lever[j, b]
+                count += unknown[j] >= 0
+    return place.ravel(), share.ravel(), right
+
+
+def _solved(place: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The least changes that solve normal equations of :func:`_sums`."""
+    size = len(right)
+    if size < _SPARSE:
+        matrix = np.bincount(place, share, size * size).astype(float).reshape(size, size)
+        matrix.flat[:: size + 1] += _NO_CHANGE
+        return np.linalg.solve(matrix, right)
+    # takes a tenth of a second to load, and is slower for few
+    from scipy import sparse
+
+    index = np.arange(size)
+    matrix = sparse.csc_array((share, np.divmod(place, size)), shape=(size, size))
+    matrix += sparse.csc_array((np.full(size, _NO_CHANGE), (index, index)))
+    return np.asarray(sparse.linalg.spsolve(matrix, right))

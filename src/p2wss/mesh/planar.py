@@ -37,13 +37,16 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     straight = _flipped(_with_straight_walls(mesh))
     each = np.arange(len(mesh.vertex_m))
     result: Mesh | None = _met(straight, each) or straight
+    # what is around edges that could not go
+    kept = set()
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
         rows = np.flatnonzero(edge_m < short_m)
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
             end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-            if not _can_merge(mesh, end, gone):
+            around = mesh.vertex_m[mesh.triangle[np.isin(mesh.triangle, (end, gone)).any(axis=1)]].tobytes()
+            if around in kept or not _can_merge(mesh, end, gone):
                 continue
             each = np.arange(len(mesh.vertex_m))
             each[gone] = end
@@ -63,6 +66,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
                 break
             # none, or a vertex has come to where another one is, and four walls share an upright edge
             result = None
+            kept.add(around)
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
     return with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool)) if is_narrow.any() else mesh
 

@@ -10,15 +10,15 @@ import shapely
 
 from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.lines import Line, as_arrays, edges_of, ends_of
+from p2wss.fit.planes.lines import Line, edges_of, ends_of
 from p2wss.mesh.topology import reverses
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import cross, writable
+from p2wss.skeleton.types import writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
-# how many pairs of a segment and a place are looked at together
-_TOGETHER = 200_000
+# in these multiples: the width of columns in which places are sought
+_STRIP = 1000.0
 # the sine of the angle between segments that cross nowhere
 _PARALLEL = 1e-9
 
@@ -59,13 +59,18 @@ class Arrangement:
 def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     """The cells of a footprint."""
     own_lines = [line for line, _ in edges_of(rings)]
+    all_lines = [*own_lines, *lines]
+    # an edge of the footprint and what goes on beyond it are one line
+    first: dict[tuple[float, ...], int] = {}
+    same = np.array([first.setdefault((*each.normal, each.offset_m), k) for k, each in enumerate(all_lines)])
     polygon = shapely.Polygon(rings[0], rings[1:])
     shapely.prepare(polygon)
     low, high = np.array(polygon.bounds).reshape(2, 2)
     far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
-    piece_m = _pieces(np.concatenate([edge_ends(rings), ends_of(lines, far_m)]) / GRID_M) * GRID_M
-    beside = ((piece_m < low - GRID_M) | (piece_m > high + GRID_M)).any(axis=(1, 2))
-    drawn = np.asarray(shapely.linestrings(piece_m[~beside]), object)
+    place, link, line = _pieces(np.concatenate([edge_ends(rings), ends_of(lines, far_m)]) / GRID_M)
+    place_m = place * GRID_M
+    is_beside = ((place_m < low - GRID_M) | (place_m > high + GRID_M)).any(axis=1)
+    drawn = np.asarray(shapely.linestrings(place_m[link[~is_beside[link].any(axis=1)]]), object)
     cells = shapely.get_parts(shapely.polygonize(drawn))
     middle = shapely.point_on_surface(cells)
     inside = shapely.contains(polygon, middle)
@@ -75,59 +80,132 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     cells, middle = cells[order], middle[order]
     all_rings, owner = shapely.get_rings(cells, return_index=True)
     xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
-    # in the order of their first and then their second coordinate; numpy is slow with rows
-    _, first, vertex = np.unique(np.round(xy_m / GRID_M) @ [1, 1j], return_index=True, return_inverse=True)
+    # places are in the order of their first and then their second coordinate; numpy is slow with rows
+    number = np.searchsorted(place @ [1, 1j], np.round(xy_m / GRID_M) @ [1, 1j])
+    used, vertex = np.unique(number, return_inverse=True)
     # the last place of a ring is its first
     is_start = np.diff(ring_of) == 0
     start, end, cell = vertex[:-1][is_start], vertex[1:][is_start], owner[ring_of[:-1][is_start]]
     back = reverses(start, end)
     once = np.flatnonzero((back < 0) | (start < end))
     pair = np.column_stack([cell, np.where(back < 0, -1, cell[back])])[once]
-    vertex_m, side, all_lines = xy_m[first], np.column_stack([start, end])[once], [*own_lines, *lines]
+    side = np.column_stack([start, end])[once]
+    of_piece = np.searchsorted(link @ [len(place), 1], np.sort(used[side], axis=1) @ [len(place), 1])
     return Arrangement(
-        vertex_m,
+        place_m[used],
         shapely.get_coordinates(middle),
         shapely.area(cells),
         pair,
         side,
-        furthest_m(vertex_m[side], *as_arrays(all_lines)).argmin(axis=1),
+        same[line[of_piece]],
         all_lines,
         len(own_lines),
     )
 
 
-def _pieces(end: np.ndarray) -> np.ndarray:
-    """The pieces (p, 2, 2) of segments (s, 2, 2) from each place where one ends or two cross to the next, each once.
+def _pieces(end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(places (v, 2), by their first and then their second coordinate; the two places of each piece, (p, 2), ascending;
+    the segment that it is nearest to, (p,)): the pieces of segments (s, 2, 2) from each place where one ends or two
+    cross to the next, each once.
 
     By snap rounding (Hobby 1999, Practical segment intersection with finite precision output): places are rounded to
     integers, and a segment goes through all those whose square it touches. So pieces have no more than ends in common.
     GEOS, which can do the same, takes four times as long for a roof.
     """
-    start, step = end[:, 0], end[:, 1] - end[:, 0]
-    length = np.hypot(*step.T)[:, None]
-    along, apart, found = step / length, start - start[:, None], []
-    turn = cross(along[:, None], along)
-    share = cross(apart, along) / np.where(np.abs(turn) < _PARALLEL, np.nan, turn * length)
-    meets = (share >= 0) & (share <= 1)
-    one, other = np.nonzero(np.triu(meets & meets.T))
-    crossing = start[one] + share[one, other, None] * step[one]
-    node = np.unique(np.rint(np.concatenate([*end, crossing])) @ [1, 1j])
+    start, step = writable(end[:, 0], np.float64), writable(end[:, 1] - end[:, 0], np.float64)
+    along = step / np.hypot(*step.T)[:, None]
+    node = np.unique(np.rint(np.concatenate([*end, _crossings(start, step, along)])) @ [1, 1j])
     place = np.column_stack([node.real, node.imag])
-    # half of what a square measures across a segment
-    half = np.abs(along).sum(axis=1, keepdims=True) / 2
-    for some in np.array_split(np.arange(len(end)), 1 + len(end) * len(place) // _TOGETHER):
-        from_start = place - start[some, None]
-        at = (from_start @ along[some, :, None])[..., 0]
-        is_at = (np.abs(at - length[some] / 2) <= length[some] / 2 + half[some]) & (
-            np.abs(cross(from_start, along[some, None])) <= half[some]
+    segment, number, at, off = _passed(start, step, along, place)
+    order = np.lexsort((number, at, segment))
+    segment, number, off = segment[order], number[order], off[order]
+    is_next = np.diff(segment) == 0
+    link = np.sort(np.column_stack([number[:-1], number[1:]])[is_next], axis=1)
+    pair = link @ [len(place), 1]
+    best = np.lexsort((segment[:-1][is_next], np.maximum(off[:-1], off[1:])[is_next], pair))
+    best = best[np.append(True, np.diff(pair[best]) > 0)]
+    return place, link[best], segment[:-1][is_next][best]
+
+
+@entry
+def _crossings(start: np.ndarray, step: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """The places (k, 2) where segments (s, 2) cross."""
+    low, high = (
+        np.minimum(start[:, 0], start[:, 0] + step[:, 0]),
+        np.maximum(start[:, 0], start[:, 0] + step[:, 0]),
+    )
+    result, num, order = np.empty((1024, 2)), 0, np.argsort(low)
+    for t in range(len(order)):
+        for u in range(t + 1, len(order)):
+            if low[order[u]] > high[order[t]]:
+                break
+            i, j = min(order[t], order[u]), max(order[t], order[u])
+            turn = along[i, 0] * along[j, 1] - along[i, 1] * along[j, 0]
+            if abs(turn) < _PARALLEL:
+                continue
+            x, y = start[j, 0] - start[i, 0], start[j, 1] - start[i, 1]
+            share = (x * along[j, 1] - y * along[j, 0]) / turn
+            other = (x * along[i, 1] - y * along[i, 0]) / turn
+            one_m = np.hypot(step[i, 0], step[i, 1])
+            if 0.0 <= share <= one_m and 0.0 <= other <= np.hypot(step[j, 0], step[j, 1]):
+                if num == len(result):
+                    result = np.concatenate((result, np.empty_like(result)))
+                result[num] = start[i] + share / one_m * step[i]
+                num += 1
+    return result[:num].copy()
+
+
+@entry
+def _passed(
+    start: np.ndarray, step: np.ndarray, along: np.ndarray, place: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(segments, places that they pass through, how far along them, how far beside): those whose squares of size 1 they
+    touch. place: (v, 2), by its first coordinate."""
+    left = place[:, 0].min()
+    num_columns = int((place[:, 0].max() - left) / _STRIP) + 1
+    # columns of a grid, and the places of each by their second coordinate
+    begin = np.searchsorted(place[:, 0], left + _STRIP * np.arange(num_columns + 1))
+    order = np.arange(len(place))
+    for column in range(num_columns):
+        own = order[begin[column] : begin[column + 1]]
+        own[:] = own[np.argsort(place[own, 1], kind="mergesort")]
+    height = place[order, 1]
+    segment, number, num = np.empty(1024, np.int64), np.empty(1024, np.int64), 0
+    at, off = np.empty(1024), np.empty(1024)
+    for i in range(len(start)):
+        length, half = np.hypot(step[i, 0], step[i, 1]), (abs(along[i, 0]) + abs(along[i, 1])) / 2
+        from_x = min(start[i, 0], start[i, 0] + step[i, 0]) - 1.0
+        to_x = max(start[i, 0], start[i, 0] + step[i, 0]) + 1.0
+        first, last = (
+            int(max((from_x - left) / _STRIP, 0.0)),
+            int(min((to_x - left) / _STRIP, num_columns - 1.0)),
         )
-        segment, number = np.nonzero(is_at)
-        order = np.lexsort((at[is_at], segment))
-        segment, number = segment[order], number[order]
-        link = np.column_stack([number[:-1], number[1:]])[np.diff(segment) == 0]
-        found.append(np.sort(link, axis=1) @ [len(place), 1])
-    pairs = np.unique(np.concatenate(found))
-    return place[np.column_stack(np.divmod(pairs, len(place)))]
+        for column in range(first, last + 1):
+            # how far along the segment this column begins and ends
+            one, other = 0.0, length
+            if abs(along[i, 0]) > _PARALLEL:
+                one = (left + column * _STRIP - 1.0 - start[i, 0]) / along[i, 0]
+                other = (left + (column + 1) * _STRIP + 1.0 - start[i, 0]) / along[i, 0]
+            one_y = start[i, 1] + min(max(one, 0.0), length) * along[i, 1]
+            other_y = start[i, 1] + min(max(other, 0.0), length) * along[i, 1]
+            k = begin[column] + np.searchsorted(
+                height[begin[column] : begin[column + 1]], min(one_y, other_y) - 1.0
+            )
+            while k < begin[column + 1] and height[k] <= max(one_y, other_y) + 1.0:
+                x, y = place[order[k], 0] - start[i, 0], place[order[k], 1] - start[i, 1]
+                way, beside = x * along[i, 0] + y * along[i, 1], abs(x * along[i, 1] - y * along[i, 0])
+                if abs(way - length / 2) <= length / 2 + half and beside <= half:
+                    if num == len(segment):
+                        segment = np.concatenate((segment, np.empty_like(segment)))
+                        number = np.concatenate((number, np.empty_like(number)))
+                        at, off = (
+                            np.concatenate((at, np.empty_like(at))),
+                            np.concatenate((off, np.empty_like(off))),
+                        )
+                    segment[num], number[num], at[num], off[num] = i, order[k], way, beside
+                    num += 1
+                k += 1
+    return segment[:num].copy(), number[:num].copy(), at[:num].copy(), off[:num].copy()
 
 
 @entry
@@ -135,18 +213,50 @@ def _cells_below(xy_m: np.ndarray, end_m: np.ndarray, pair: np.ndarray) -> np.nd
     """The cell (m,) below the side next above each place (m, 2), -1 outside. end_m: (s, 2, 2), the ends of sides. pair:
     (s, 2), the cells to their left and right."""
     result = np.full(len(xy_m), -1)
+    left, right = np.minimum(end_m[:, 0, 0], end_m[:, 1, 0]), np.maximum(end_m[:, 0, 0], end_m[:, 1, 0])
+    top = np.maximum(end_m[:, 0, 1], end_m[:, 1, 1])
+    # the sides of each column of a grid, by their upper ends
+    from_x, num_columns = left.min(), int(len(pair) ** 0.5) + 1
+    width_m = (right.max() - from_x) / num_columns * (1 + 1e-9) + GRID_M
+    begin = np.zeros(num_columns + 1, np.int64)
+    for k in range(len(pair)):
+        for column in range(int((left[k] - from_x) / width_m), int((right[k] - from_x) / width_m) + 1):
+            begin[column + 1] += 1
+    begin = np.cumsum(begin)
+    free, member = begin.copy(), np.empty(begin[-1], np.int64)
+    for k in np.argsort(top, kind="mergesort"):
+        for column in range(int((left[k] - from_x) / width_m), int((right[k] - from_x) / width_m) + 1):
+            member[free[column]] = k
+            free[column] += 1
+    upper = top[member]
     for i in range(len(xy_m)):
         # no vertex has such a coordinate
         x, nearest_m = xy_m[i, 0] + GRID_M / 2, np.inf
-        for k in range(len(pair)):
-            (from_x, from_y), (to_x, to_y) = end_m[k]
-            if (from_x < x) != (to_x < x):
-                above_m = from_y + (to_y - from_y) * (x - from_x) / (to_x - from_x) - xy_m[i, 1]
+        column = int((x - from_x) // width_m)
+        if column < 0 or column >= num_columns:
+            continue
+        start = begin[column] + np.searchsorted(upper[begin[column] : begin[column + 1]], xy_m[i, 1])
+        for k in member[start : begin[column + 1]]:
+            (start_x, start_y), (to_x, to_y) = end_m[k]
+            if (start_x < x) != (to_x < x):
+                above_m = start_y + (to_y - start_y) * (x - start_x) / (to_x - start_x) - xy_m[i, 1]
                 if 0 <= above_m < nearest_m:
-                    nearest_m, result[i] = above_m, pair[k, 1 if from_x < x else 0]
+                    nearest_m, result[i] = above_m, pair[k, 1 if start_x < x else 0]
     return result
 
 
-def furthest_m(end_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:
-    """How far the further end of each piece (s, 2, 2) is from each line (:func:`as_arrays`), (s, l)."""
-    return np.asarray(np.abs(end_m @ normal.T - offset_m).max(axis=1))
+@entry
+def nearest_lines(
+    end_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray, num: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(the line nearest to each piece (s, 2, 2) of the first ``num`` (s,) lines, by its further end; how far that is).
+    normal, offset_m: of lines (:func:`as_arrays`)."""
+    result, least_m = np.zeros(len(end_m), np.int64), np.full(len(end_m), np.inf)
+    for k in range(len(end_m)):
+        (a, b), (c, d) = end_m[k]
+        for line in range(num[k]):
+            x, y, offset = normal[line, 0], normal[line, 1], offset_m[line]
+            away_m = max(abs(a * x + b * y - offset), abs(c * x + d * y - offset))
+            if away_m < least_m[k]:
+                least_m[k], result[k] = away_m, line
+    return result, least_m

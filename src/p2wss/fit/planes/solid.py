@@ -16,13 +16,14 @@ import numpy as np
 import shapely
 
 from p2wss.fit.mesh.simplification import simplified
-from p2wss.fit.planes.arrangement import GRID_M, Arrangement, furthest_m
+from p2wss.fit.planes.arrangement import GRID_M, Arrangement, nearest_lines
 from p2wss.fit.planes.detection import height_over
 from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
+from p2wss.skeleton.types import writable
 
 # the number of the face outside the footprint, and of cells without a building
 OUTSIDE = -1
@@ -152,11 +153,15 @@ class _Network:
         off_m = np.abs((xy_m[edge] * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
         is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
         normals, offsets_m = as_arrays(cells.lines)
-        beside_m = furthest_m(xy_m[edge], normals, offsets_m)
+        end_m = writable(xy_m[edge], np.float64)
         # where open ground is left out, a line divides the footprint from it
-        is_edge = is_outer & (beside_m[:, : cells.num_edges].min(axis=1) < _STRAIGHT_M)
-        beside_m[is_edge, cells.num_edges :] = np.inf
-        line = beside_m.argmin(axis=1)
+        num_lines = np.where(is_outer, cells.num_edges, len(cells.lines))
+        line, beside_m = nearest_lines(end_m, normals, offsets_m, num_lines)
+        is_edge = is_outer & (beside_m < _STRAIGHT_M)
+        if (is_outer & ~is_edge).any():
+            line = np.where(
+                is_edge, line, nearest_lines(end_m, normals, offsets_m, 0 * line + len(cells.lines))[0]
+            )
         normal, offset_m = normals[line], offsets_m[line]
         normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
         offset_m[is_meet] = -slope[is_meet, 2] / fold[is_meet]

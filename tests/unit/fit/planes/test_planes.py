@@ -283,7 +283,8 @@ def test_pieces_have_only_ends_in_common() -> None:
     ends_m = rng.uniform(-20, 20, (30, 2, 2))
     fan = rng.uniform(-20, 20, (10, 2))
     ends_m = np.concatenate([ends_m, np.stack([fan, 2 * ends_m[0, 0] - fan], axis=1), ends_m[:9] + 4e-4])
-    pieces = shapely.linestrings(_pieces(ends_m / GRID_M))
+    place, link, _ = _pieces(ends_m / GRID_M)
+    pieces = shapely.linestrings(place[link])
     first, second = shapely.STRtree(pieces).query(pieces, predicate="intersects")
     first, second = first[first < second], second[first < second]
     meeting = shapely.intersection(pieces[first], pieces[second])
