@@ -16,6 +16,7 @@ from typing_extensions import TypedDict
 
 from p2wss.cli.parser import PATH, file_option, option, setting
 from p2wss.config import Config
+from p2wss.data import reasons
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
@@ -148,9 +149,11 @@ def write_run(
     formats: list[str] | None = None,
     name: str | None = None,
     clean: bool = False,
-) -> None:
+) -> int:
     """Write the files of a run that began at ``start_s``, and log what was written, how many buildings are what, which
-    to check, and what to do next. clean: delete the files of earlier runs that this one does not write."""
+    to check, and what to do next. clean: delete the files of earlier runs that this one does not write.
+
+    Returns the exit status: 1 if a file is missing, or too many buildings, because of internal errors."""
     earlier = _delivered(out, f"{name or scene.name}.json")
     written = scene.write(out, formats, name)
     names = [str(path.relative_to(out)) for path in written]
@@ -172,6 +175,20 @@ def write_run(
     pages = [path for path in written if path.suffix == ".html"]
     if pages:
         log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
+    if not content["errors"]:
+        return 0
+    failed, most = (
+        counts["reasons"].get(reasons.INTERNAL_ERROR, 0),
+        scene.config.reconstruct.max_failed_fraction,
+    )
+    text = "warning: internal errors at %d of %d buildings, in all at: %s; tracebacks: %s"
+    log.warning(text, failed, counts["total"], _first(content["errors"]), written[-2])
+    if failed <= most * counts["total"] and content["is_complete"]:
+        return 0
+    log.error(
+        "error: a file is missing, or more buildings failed than reconstruct.max_failed_fraction %g", most
+    )
+    return 1
 
 
 def _first(names: list[str]) -> str:

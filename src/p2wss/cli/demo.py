@@ -16,7 +16,7 @@ from p2wss.cli.parser import PATH, Command
     "folder", type=PATH, default="p2wss-demo", metavar="[FOLDER]", help="folder to write (p2wss-demo)"
 )
 @log_options
-def demo(folder: Path) -> None:
+def demo(folder: Path) -> int:
     """Draw a small town and its LiDAR, and reconstruct it."""
     import p2wss
     from p2wss.towns import write_demo
@@ -28,5 +28,6 @@ def demo(folder: Path) -> None:
     )
     start = time.monotonic()
     with p2wss.reconstruct(cloud, footprints) as scene:
-        write_run(folder / "out", scene, start, ["cityjson", "glb", "gpkg", "report"])
+        status = write_run(folder / "out", scene, start, ["cityjson", "glb", "gpkg", "report"])
     log.info("the same with files of your own: p2wss reconstruct %s %s %s", cloud, footprints, folder / "out")
+    return status

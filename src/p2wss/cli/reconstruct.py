@@ -94,6 +94,8 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 )
 @setting("reconstruct.frequency_ghz", metavar="F")
 @setting("reconstruct.split_materials")
+@setting("reconstruct.max_failed_fraction", type=float, metavar="SHARE")
+@setting("reconstruct.strict")
 def reconstruct(
     inputs: tuple[Path, ...],
     out: Path,
@@ -107,7 +109,7 @@ def reconstruct(
     name: str | None,
     clean: bool,
     **chosen: Any,
-) -> None:
+) -> int:
     """Reconstruct buildings from your own LiDAR and footprints.
 
     In brackets: the setting of the config that an option overrides, and its default.
@@ -141,4 +143,4 @@ def reconstruct(
 
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
     with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
-        write_run(out, result, start, name=name, clean=clean)
+        return write_run(out, result, start, name=name, clean=clean)

@@ -69,7 +69,7 @@ def scene(
     threads: int,
     clean: bool,
     config: Config,
-) -> None:
+) -> int:
     """From a place on the map to a scene for radar: fetch its footprints, terrain and LiDAR, and reconstruct it.
 
     The data come from IGN's services (France), or with --source folder from your files (fetch.folder). They stay in
@@ -96,11 +96,11 @@ def scene(
     estimates = plan.estimate_downloads(config, [grown(bounds, config.fetch.margin_m)])
     print(plan.format_estimates(config, estimates), flush=True)
     if dry_run:
-        return
+        return 0
     argument_checks.check_folder(out)
     start = time.monotonic()
     data = fetch_area(bounds, crs, out / "data", config)
     with p2wss.reconstruct(
         data.clouds, data.footprints, terrain=data.terrain, config=config, threads=threads
     ) as result:
-        write_run(out, result, start, name="scene", clean=clean)
+        return write_run(out, result, start, name="scene", clean=clean)

@@ -23,6 +23,7 @@ from p2wss.config.places import (
     place_config,
 )
 from p2wss.config.reconstruct import (
+    ERRORS_SUFFIX,
     OUTPUT_SUFFIXES,
     TABLES_AND_MODELS,
     WEDGES_SUFFIX,
@@ -40,6 +41,7 @@ from p2wss.config.training import Compute, DeviceName, Optimiser
 __all__ = [
     "ALL",
     "CLASSES_ALONE",
+    "ERRORS_SUFFIX",
     "IDENTITY",
     "IGN",
     "OUTPUT_SUFFIXES",

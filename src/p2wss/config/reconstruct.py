@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from p2wss.config.base import Section
+from p2wss.config.base import Section, Share
 
 # the output formats of `p2wss reconstruct` and the suffixes of their files
 OUTPUT_SUFFIXES = {
@@ -25,6 +25,8 @@ OUTPUT_SUFFIXES = {
 }
 # and of the file of `reconstruct.wedges`
 WEDGES_SUFFIX = ".wedges.parquet"
+# and of the tracebacks of internal errors, where there are any
+ERRORS_SUFFIX = ".errors.log"
 Output = Literal[
     "cityjsonseq",
     "cityjson",
@@ -123,7 +125,7 @@ class Outlines(Section):
 class Reconstruct(Section):
     """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
-    neutral: ClassVar = {"max_triangles": None}
+    neutral: ClassVar = {"max_triangles": None, "max_failed_fraction": 0.2, "strict": False}
     footprint_schema: SchemaName = Field(
         "auto",
         description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
@@ -265,4 +267,12 @@ class Reconstruct(Section):
     )
     terrain_margin_m: float = Field(
         20, ge=0, le=1000, description="margin of the triangulated terrain around the buildings"
+    )
+    max_failed_fraction: Share = Field(
+        0.2,
+        description="the command fails, after all files are written, if a larger share of the buildings has the reason "
+        "internal-error",
+    )
+    strict: bool = Field(
+        False, description="stop at the first internal error, which otherwise is that of one building only"
     )

@@ -195,11 +195,24 @@ def clean_footprints(features: Features, config: Scenes) -> Features:
     for i in np.flatnonzero(shapely.is_missing(cleaned)):
         cleaned[i], status[usable[i]] = _clean_alone(shapes[usable[i]], config)
     shapes[usable] = cleaned
+    return _without_excluded(result, shapes, status, config)
+
+
+def uncleaned_footprints(features: Features, config: Scenes) -> Features:
+    """The polygons of :func:`split_parts` as they are, with rings in the directions and with the status that
+    :func:`clean_footprints` gives them: what remains where that fails."""
+    result = split_parts(features, config.min_area_m2, config.simplify_m)
+    shapes = shapely.orient_polygons(result.geometry)
+    return _without_excluded(result, shapes, result["status"].copy(), config)
+
+
+def _without_excluded(features: Features, shapes: np.ndarray, status: np.ndarray, config: Scenes) -> Features:
+    """The features with these polygons, without those that are too small or have too many edges."""
     status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
     status[(status == reasons.OK) & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
     shapes[status != reasons.OK] = shapely.Polygon()
-    return replace(result.having(status=status), geometry=shapes)
+    return replace(features.having(status=status), geometry=shapes)
 
 
 def _clean_alone(shape: shapely.Polygon, config: Scenes) -> tuple[shapely.Polygon, str]:

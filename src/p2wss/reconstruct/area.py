@@ -18,10 +18,15 @@ import shapely
 from p2wss.clouds.crops import GROUND_REACH_M
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
+from p2wss.data import reasons
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.tiling import Bounds, grown, tiles_of_points
+from p2wss.footprints.cleaning import clean_footprints, uncleaned_footprints
+from p2wss.footprints.coverage import block_numbers
+from p2wss.footprints.limits import repaired
 from p2wss.reconstruct.cloud_index import CloudIndex
-from p2wss.reconstruct.pipeline import Rows
+from p2wss.reconstruct.failures import note, surviving
+from p2wss.reconstruct.pipeline import Part, Rows
 from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
 from p2wss.storage.errors import InputError
@@ -37,6 +42,8 @@ _BESIDE_M = 0.5
 # of a batch, without what is around it
 MAX_POINTS = 3_000_000
 MAX_FOOTPRINTS = 500
+# column: the number of a footprint in its file
+_NUMBER = "p2wss_number"
 
 
 class Area:
@@ -160,13 +167,26 @@ def run_area(
     """
     position = np.empty(len(area.features), np.int64)
     position[area.numbers] = np.arange(len(area.numbers))
+
+    def prepared(some: np.ndarray, registers: np.ndarray) -> list[Part]:
+        features, registrations, cloud = area.read(some, points, registers)
+        log.debug("batch of %d buildings: %d points around them", len(some), len(cloud.x_m))
+        return [rows.prepared(position[some], features, cloud, registrations)]
+
+    def unregistered(row: int, trace: str) -> list[Part]:
+        some = np.array([row])
+        found = surviving(lambda some: prepared(some, registers & False), some, lambda row, trace: [])
+        if found:
+            note(f"registration of {area.features['building_id'][row]}", trace, "it stays where it is")
+            return found
+        bare = rows.bare(position[some], area.features.take(some), failure=trace)
+        return [Part(bare, bare, [])]
+
     num_done = 0
     for batch in area.batches(points):
-        features, registrations, cloud = area.read(batch, points, registers)
-        log.debug("batch of %d buildings: %d points around them", len(batch), len(cloud.x_m))
-        report = partial(_report, progress, num_done)
-        rows.start(position[batch], features, cloud, report, registrations)
-        num_done += len(batch)
+        for part in surviving(partial(prepared, registers=registers), batch, unregistered):
+            rows.start(part, partial(_report, progress, num_done))
+            num_done += len(part.rows) + len(part.pending)
     rows.finish(int(area.is_chosen.sum()))
 
 
@@ -182,6 +202,39 @@ def footprint_settings(config: Config) -> Scenes:
     """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints: those of
     the section scenes, but with ``reconstruct.simplify_m``."""
     return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
+
+
+def cleaned(features: Features, config: Config) -> Features:
+    """The footprints as :func:`p2wss.footprints.cleaning.clean_footprints` returns them; where errors are met, those of
+    a block at which it fails stay as they are, or get the reason ``internal-error`` if even that fails.
+
+    features: what :func:`p2wss.footprints.cleaning.read_footprints` returns."""
+    settings = footprint_settings(config)
+
+    def by_blocks(features: Features, trace: str) -> list[Features]:
+        shapes = surviving(lambda some: repaired(some)[0], features.geometry, lambda *_: [shapely.Polygon()])
+        block = block_numbers(np.array(shapes, object), settings.snap_m)
+        rows = [features.take(block == k) for k in np.unique(block)]
+        return surviving(lambda some: [clean_footprints(Features.joined(some), settings)], rows, as_they_are)
+
+    def as_they_are(block: Features, trace: str) -> list[Features]:
+        ids = block["building_id"].tolist()
+        more = f" and {len(ids) - 1} of its block" if len(ids) > 1 else ""
+        note(f"cleaning of {ids[0]}{more}", trace, "footprints stay as they are")
+        rows = [block.take(np.array([k])) for k in range(len(block))]
+        return surviving(lambda some: [uncleaned_footprints(each, settings) for each in some], rows, lost)
+
+    def lost(row: Features, trace: str) -> list[Features]:
+        unknown = np.full(1, np.nan)
+        empty = replace(row, geometry=np.array([shapely.Polygon()]))
+        status = np.array([reasons.INTERNAL_ERROR], object)
+        return [empty.having(status=status, centre_x_m=unknown, centre_y_m=unknown)]
+
+    numbered = features.having(**{_NUMBER: np.arange(len(features))})
+    result = Features.joined(
+        surviving(lambda some: [clean_footprints(each, settings) for each in some], [numbered], by_blocks)
+    )
+    return result.take(np.argsort(result[_NUMBER], kind="stable")).without(_NUMBER)
 
 
 def window(features: Features) -> Bounds:

@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from p2wss.formats.meshes import SURFACE_NAMES, Body
-from p2wss.reconstruct.skin import Skin, skins
+from p2wss.mesh import Mesh
+from p2wss.reconstruct.failures import note, surviving
+from p2wss.reconstruct.skin import Skin, skins, unjoined
 from p2wss.reconstruct.skin.on_terrain import cut
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
@@ -21,7 +23,13 @@ log = logging.getLogger("p2wss")
 def joined(buildings: Sequence[Body], max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
     """The skins around ``buildings``, one each, with a warning for those that stay apart; the others as in
     :func:`p2wss.reconstruct.skin.skins`."""
-    result = skins({body.name: body.mesh for body in buildings}, max_lowering_m)
+    solids = {body.name: body.mesh for body in buildings}
+
+    def none(solids: dict[str, Mesh], trace: str) -> list[Skin]:
+        note("skins", trace, "all buildings stay apart")
+        return unjoined(solids, "internal error")
+
+    result = surviving(lambda some: skins(some[0], max_lowering_m), [solids], none)
     apart = [skin for skin in result if skin.failure is not None]
     if apart:
         example = f"{apart[0].building_ids[0]}: {apart[0].failure}"
@@ -78,8 +86,15 @@ def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
 
     kinds = np.array([SURFACE_NAMES.get(k, "") for k in range(max(SURFACE_NAMES) + 1)], dtype=object)
     parts: list[dict[str, np.ndarray]] = []
-    for number, skin in enumerate(skin_list):
-        edges = wedges(skin)
+
+    def none(skin: Skin, trace: str) -> list[None]:
+        note(f"wedges of the skin of {skin.building_ids[0]}", trace, "it gets none")
+        return [None]
+
+    found = surviving(lambda some: map(wedges, some), skin_list, none)
+    for number, (skin, edges) in enumerate(zip(skin_list, found, strict=True)):
+        if edges is None:
+            continue
         # a triangle of each face states its kind and building
         faces, example = np.unique(skin.mesh.label, return_index=True)
         triangle = example[np.searchsorted(faces, edges.face)]

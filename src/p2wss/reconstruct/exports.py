@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyproj
 
-from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
+from p2wss.config import ERRORS_SUFFIX, OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
+from p2wss.config.reconstruct import Output
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import grown
 from p2wss.formats import gpkg, qgis, sionna
@@ -21,6 +23,7 @@ from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
+from p2wss.reconstruct.failures import met, note, surviving
 from p2wss.reconstruct.page import page_of_run
 from p2wss.reconstruct.pipeline import input_columns
 from p2wss.reconstruct.result import Result
@@ -52,10 +55,20 @@ def write(
     results: may be read from a file at each access. Skins and terrains hold all meshes in memory, tables and mesh files
     their content, CityJSON nothing. With a terrain the meshes stand in a block of it
     (:mod:`p2wss.reconstruct.terrain_mesh`), and with ``config.skin`` those of touching buildings become one
-    (:mod:`p2wss.reconstruct.skin`); CityJSON does not change.
+    (:mod:`p2wss.reconstruct.skin`); CityJSON does not change. Where errors are met, a file that cannot be made is left
+    out, and the tracebacks of all errors of the run are in ``STEM.errors.log``.
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
-    meshes, ground, skins = _meshes(results, terrain, config)
+
+    def alone(
+        terrain: Terrain | None, trace: str
+    ) -> list[tuple[Sequence[Body], Body | None, Sequence[Skin]]]:
+        note("skins and terrain", trace, "meshes are written as they are")
+        return [_meshes(results, None, config.model_copy(update={"skin": False, "wedges": False}))]
+
+    ((meshes, ground, skins),) = surviving(
+        lambda some: [_meshes(results, each, config) for each in some], [terrain], alone
+    )
     vegetation = [
         replace(
             Body.of_building(plant.name, plant.mesh, {"vegetation": config.materials.vegetation}),
@@ -63,27 +76,34 @@ def write(
         )
         for plant in plants
     ]
+    bodies = [*meshes, *vegetation] if vegetation else meshes
     frame = frame_around(meshes, crs.to_string())
-    before = input_footprints(results, crs)
     results = Lazy(lambda result: with_columns(result, config.keep_columns), results)
-    outputs = dict.fromkeys(config.outputs)
-    written = [f"{stem}{OUTPUT_SUFFIXES[output]}" for output in outputs]
-    delivered = write_meshes(
-        folder, stem, [*meshes, *vegetation] if vegetation else meshes, frame, config, facts
-    )
-    if config.per_building:
-        single = config.model_copy(update={"outputs": [each for each in outputs if each in SINGLE_FILES]})
-        for body, file in zip(meshes, file_names([body.name for body in meshes]), strict=True):
-            delivered += write_meshes(folder / stem, file, [body], frame, single, facts)
-        written += [f"{stem}/*{OUTPUT_SUFFIXES[output]}" for output in single.outputs]
-    for output in outputs:
+    single = file_names([body.name for body in meshes]) if config.per_building else []
+
+    def of_output(output: Output) -> tuple[list[str], list[Path]]:
         path = folder / f"{stem}{OUTPUT_SUFFIXES[output]}"
+        names, paths = [f"{stem}{OUTPUT_SUFFIXES[output]}"], [path]
         if output == "report":
             files.write_text(path, page_of_run(results, stem, crs, [plant.mesh for plant in plants]))
-        elif output not in MESH_WRITERS:
-            _write_results(path, output, results, plants, before, crs, facts, config)
-        if output not in MESH_WRITERS:
-            delivered.append(path)
+        elif output in MESH_WRITERS:
+            alone = config.model_copy(update={"outputs": [output]})
+            paths = write_meshes(folder, stem, bodies, frame, alone, facts)
+            if single and output in SINGLE_FILES:
+                names.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
+                for body, file in zip(meshes, single, strict=True):
+                    paths += write_meshes(folder / stem, file, [body], frame, alone, facts)
+        else:
+            _write_results(path, output, results, plants, crs, facts, config)
+        return names, paths
+
+    def unwritten(output: Output, trace: str) -> list[tuple[list[str], list[Path]]]:
+        note(f"{stem}{OUTPUT_SUFFIXES[output]}", trace, "it is not written")
+        return []
+
+    outputs = list(dict.fromkeys(config.outputs))
+    done = surviving(lambda some: map(of_output, some), outputs, unwritten)
+    written, delivered = (list(chain(*each)) for each in (zip(*done, strict=True) if done else ([], [])))
     columns = block_skins.wedge_columns(skins) if config.wedges else None
     if columns is not None:
         from p2wss.storage.schemas.wedges import WEDGES  # and with it pyarrow
@@ -91,6 +111,11 @@ def write(
         files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", columns, WEDGES, facts)
         written.append(f"{stem}{WEDGES_SUFFIX}")
         delivered.append(folder / f"{stem}{WEDGES_SUFFIX}")
+    errors = met()
+    if errors is not None and errors.traces:
+        files.write_text(folder / f"{stem}{ERRORS_SUFFIX}", errors.text)
+        written.append(f"{stem}{ERRORS_SUFFIX}")
+        delivered.append(folder / f"{stem}{ERRORS_SUFFIX}")
     files.write_json(
         folder / f"{stem}.json",
         {
@@ -104,6 +129,8 @@ def write(
             "skin": block_skins.counts(skins) if config.skin else None,
             "wedges": columns and len(columns["skin"]),
             "vegetation": dict(Counter(plant.city_type for plant in plants)) if config.vegetation else None,
+            "errors": [] if errors is None else sorted(errors.traces),
+            "is_complete": len(done) == len(outputs),
             "terrain": None
             if ground is None
             else {"mesh": ground.name, "triangles": len(ground.mesh.triangle)},
@@ -144,18 +171,17 @@ def _write_results(
     output: str,
     results: Sequence[Result],
     plants: Sequence[Plant],
-    before: Features | None,
     crs: pyproj.CRS,
     facts: dict[str, Any],
     config: Reconstruct,
 ) -> None:
-    """Write a table or CityJSON. output: its format. before: the footprints that registration moved, as they were."""
+    """Write a table or CityJSON. output: its format."""
     if output in ("cityjson", "cityjsonseq"):
         files.write_text(
             path, city_json(results, crs, output, facts, config.lods, config.attribute_names, plants)
         )
         return
-    rows = table(results, crs, facts, config.attribute_names)
+    rows, before = table(results, crs, facts, config.attribute_names), input_footprints(results, crs)
     if output == "gpkg":
         gpkg.write(
             path, rows, facts, more={} if before is None else {"input_footprints": before}, style=qgis.STYLE

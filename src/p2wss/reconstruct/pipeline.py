@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import date, timedelta
+from math import nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,20 +15,22 @@ import numpy as np
 from p2wss.clouds.crops import crop_cloud, roofs_around
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
-from p2wss.data import polygon_arrays
+from p2wss.data import polygon_arrays, reasons
 from p2wss.data.building import Building, no_mesh
 from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import every_kth
 from p2wss.mesh import Mesh
+from p2wss.reconstruct.attributes import attributes
+from p2wss.reconstruct.failures import met, note, surviving
 from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.own_points import with_own_classes
 from p2wss.reconstruct.processes import Shared
-from p2wss.reconstruct.product import method_name, reconstruct_buildings
+from p2wss.reconstruct.product import flat_roofs, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
-from p2wss.reconstruct.result import Result, Row, result_of
+from p2wss.reconstruct.result import Result, Row, failed, result_of
 from p2wss.reconstruct.spool import Lazy, Spool
 from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
@@ -61,9 +65,23 @@ def run(
     """
     results: dict[int, Any] = {}
     rows = Rows(len(features), results, predictor, tile, config, terrain)
-    rows.start(np.arange(len(features)), features, cloud, progress, registrations)
+    rows.start(rows.prepared(np.arange(len(features)), features, cloud, registrations), progress)
     rows.finish()
     return [results[number] for number in range(len(features))]
+
+
+# the number of a row, its result, and the time that it took, seconds
+_Done = tuple[int, Result, float]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some rows of a run. rows: with their points. bare: the same without. pending: others, without points, whose
+    ground is that of buildings elsewhere."""
+
+    rows: Sequence[Row]
+    bare: Sequence[Row]
+    pending: list[Row]
 
 
 class Rows:
@@ -71,8 +89,12 @@ class Rows:
     processes, the others begin with a part while this one prepares the next.
 
     num_rows: of the run. results: where they are stored; with ``config.max_triangles`` it has so many places again, for
-    rows that may be reconstructed once more. num_processes: that fit; one with a network, whose threads a
-    fork would lack. The other arguments are those of :func:`run`.
+    rows that may be reconstructed once more. num_processes: that fit, forks of this one, which a building may kill;
+    with none, or with a network, whose threads a fork would lack, this one does. folder: of temporary files. The other
+    arguments are those of :func:`run`.
+
+    Where errors are met (:mod:`p2wss.reconstruct.failures`), a building at which the code fails has the reason
+    ``internal-error``, and a flat roof if that can be had.
     """
 
     def __init__(
@@ -83,72 +105,107 @@ class Rows:
         tile: str,
         config: Reconstruct,
         terrain: Terrain | None = None,
-        num_processes: int = 1,
+        num_processes: int = 0,
+        folder: Path | None = None,
     ) -> None:
-        self._num_rows, self._results = num_rows, results
-        self._num_processes = num_processes if predictor is None else 1
+        self._num_rows, self._results, self._folder = num_rows, results, folder
+        self._num_processes = num_processes if predictor is None else 0
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
         self._batch = 1 if predictor is None else _NETWORK_BATCH
         # what computes now, and its progress
-        self._current: Iterable[tuple[int, list[tuple[int, Result]]]] = ()
+        self._current: Iterable[tuple[int, list[_Done]]] = ()
         self._progress: Callable[[int], object] = lambda num_done: None
+        # what computed before, and whether this process has done one of it
+        self._before: Sequence[Row] = ()
+        self._has_learnt = False
         self._origin_xy_m = np.full((num_rows, 2), np.nan)
         # of buildings with points
         self._ground_z_m = np.full(num_rows, np.nan)
         # buildings without points whose ground is that of others
         self._pending: list[Row] = []
 
-    def start(
+    def bare(
+        self,
+        numbers: np.ndarray,
+        features: Features,
+        registrations: Sequence[Registration | None] | None = None,
+        failure: str = "",
+    ) -> Lazy[int, Row]:
+        """Rows without points. numbers: of each in the results. failure: for which they get no more than that."""
+        polygons = polygon_arrays.to_polygons(features.geometry)
+        origin_xy_m, columns = polygon_arrays.origins(polygons), input_columns(features)
+        names, status = features["building_id"].tolist(), features["status"].tolist()
+        unknown = np.full(len(features), np.nan)
+        stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
+
+        def row(i: int) -> Row:
+            building = Building(
+                names[i],
+                self._tile,
+                (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
+                [ring - origin_xy_m[i] for ring in polygons.rings(i)],
+                np.zeros((0, 3)),
+                np.zeros(0, np.uint8),
+                float("nan"),
+                stated_height_m[i],
+            )
+            registration = None if registrations is None else registrations[i]
+            state = reasons.INTERNAL_ERROR if failure else status[i]
+            return Row(int(numbers[i]), building, state, columns[i], registration, failure=failure)
+
+        return Lazy(row, range(len(features)))
+
+    def prepared(
         self,
         numbers: np.ndarray,
         features: Features,
         cloud: Cloud,
-        progress: Callable[[int], object] = lambda num_done: None,
         registrations: Sequence[Registration | None] | None = None,
-    ) -> None:
-        """Reconstruct features, with several processes until the next call, or the end. numbers: of each in the
-        results. cloud: all points within 64 m of them. progress: called with the number of these that are done.
-        registrations: of each, what moved it."""
+    ) -> Part:
+        """The rows of features. numbers: of each in the results. cloud: all points within 64 m of them. registrations:
+        of each, what moved it."""
         polygons = polygon_arrays.to_polygons(features.geometry)
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
         around = roofs_around(cloud, polygons, cropped)
         ground = ground_of(cloud, cropped, polygons, self._terrain)
         ground_z_m = ground.z_m
         is_pending = np.isnan(ground_z_m) & (np.diff(polygons.vertex_offset) > 0)
-        origin_xy_m = polygon_arrays.origins(polygons)
-        self._origin_xy_m[numbers] = origin_xy_m
-        self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
-        columns = input_columns(features)
-        registrations = [None] * len(features) if registrations is None else registrations
-        names, status = features["building_id"].tolist(), features["status"].tolist()
-        unknown = np.full(len(features), np.nan)
-        stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
+        bare = self.bare(numbers, features, registrations)
 
-        def row(i: int) -> Row:
-            point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
+        def with_points(i: int) -> Row:
+            row, point = bare[i], _in_order(cloud, cropped.of(i))
             beside = _in_order(cloud, around.get(i, point[:0]))
             beside = beside[every_kth(len(beside), _MAX_AROUND)]
-            rings = [ring - origin for ring in polygons.rings(i)]
-            position_m = (*origin, ground_z_m[i])
-            building = Building(
-                names[i],
-                self._tile,
-                (float(origin[0]), float(origin[1])),
-                rings,
-                _local(cloud, point, position_m),
-                cloud.classification[point],
-                float(ground_z_m[i]),
-                stated_height_m[i],
-                _local(cloud, beside, position_m),
+            position_m = (*row.building.origin_xy_m, ground_z_m[i])
+            building = replace(
+                row.building,
+                point_m=_local(cloud, point, position_m),
+                classification=cloud.classification[point],
+                ground_z_m=float(ground_z_m[i]),
+                around_m=_local(cloud, beside, position_m),
             )
-            dates = _dates(cloud, point)
             source = str(ground.source[i]), float(ground.sd_m[i])
-            return Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates, source)
+            return replace(row, building=building, dates=_dates(cloud, point), ground=source)
 
-        self._pending += map(row, np.flatnonzero(is_pending).tolist())
-        self._start(Lazy(row, np.flatnonzero(~is_pending).tolist()), progress)
-        if self._num_processes == 1:
+        def without(i: int, trace: str) -> list[Row]:
+            return [replace(bare[i], status=reasons.INTERNAL_ERROR, failure=trace)]
+
+        def row(i: int) -> Row:
+            return surviving(lambda some: map(with_points, some), [i], without)[0]
+
+        others = np.flatnonzero(~is_pending).tolist()
+        pending = [row(i) for i in np.flatnonzero(is_pending).tolist()]
+        self._origin_xy_m[numbers] = polygon_arrays.origins(polygons)
+        self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
+        return Part(Lazy(row, others), Lazy(bare.__getitem__, others), pending)
+
+    def start(self, part: Part, progress: Callable[[int], object] = lambda num_done: None) -> None:
+        """Reconstruct the rows of a part, with several processes until the next call, or the end. progress: called with
+        the number of these that are done."""
+        self._pending += part.pending
+        self._start(part.rows, part.bare, progress)
+        if self._num_processes <= 1:
             self._complete()
 
     def finish(self, num_counted: int | None = None) -> None:
@@ -162,14 +219,19 @@ class Rows:
             for k, ground_z_m in enumerate(np.median(self._ground_z_m[known][beside], axis=1).tolist()):
                 row = self._pending[k]
                 self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
-        self._start(self._pending, lambda num_done: None)
+        self._start(self._pending, self._pending, lambda num_done: None)
         self._complete()
         if self._config.max_triangles is not None:
             self._save_triangles(
                 self._config.max_triangles, self._num_rows if num_counted is None else num_counted
             )
         meshes = Lazy(self._placed_mesh, range(self._num_rows))
-        area_m2 = party_wall_areas_m2(meshes)
+
+        def unknown(meshes: Lazy[int, Mesh | None], trace: str) -> list[np.ndarray]:
+            note("areas of party walls", trace, "they are unknown")
+            return [np.full(self._num_rows, np.nan)]
+
+        (area_m2,) = surviving(lambda some: map(party_wall_areas_m2, some), [meshes], unknown)
         for number in np.flatnonzero(area_m2).tolist():
             self._results[number] = replace(self._results[number], party_wall_area_m2=float(area_m2[number]))
 
@@ -184,11 +246,11 @@ class Rows:
         log.info("%d triangles more than reconstruct.max_triangles: once more at low detail", excess)
         low, savings = self._config.model_copy(update={"detail": "low"}), []
         rows = Lazy(self._results.__getitem__, range(self._num_rows, self._num_rows + num_counted))
-        for _, done in self._shared(rows, low):
-            for number, simple in done:
+        for _, done in self._shared(rows, rows, low):
+            for number, simple, _ in done:
                 before: Result = self._results[number]
                 saved = before.reconstruction.num_triangles - simple.reconstruction.num_triangles
-                if saved > 0 and before.measures is not None:
+                if saved > 0 and before.measures is not None and not simple.failure:
                     self._results[self._num_rows + number] = simple
                     growth_m = float(np.nan_to_num(simple.residual_m - before.residual_m))
                     savings.append((growth_m * before.measures.ground_area_m2 / saved, number, saved))
@@ -204,38 +266,72 @@ class Rows:
         reconstruction = self._results[number].reconstruction
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
-    def _start(self, rows: Sequence[Row], progress: Callable[[int], object]) -> None:
+    def _start(self, rows: Sequence[Row], bare: Sequence[Row], progress: Callable[[int], object]) -> None:
         """Complete what computes now, then let the other processes begin with these rows."""
         self._complete()
+        self._learn(rows)
         if self._config.max_triangles is not None:
             for row in rows:
                 self._results[self._num_rows + row.number] = row
-        self._current, self._progress = self._shared(rows, self._config), progress
+        self._current, self._progress = self._shared(rows, bare, self._config), progress
+
+    def _learn(self, rows: Sequence[Row]) -> None:
+        """Have the compiled code that forks need in this process, too, as loading it takes as long as six buildings:
+        repeat one of the rows before these, in which no fork has failed."""
+        before, self._before = self._before, rows
+        if not (self._num_processes and len(before)) or self._has_learnt:
+            return
+        if not self._results[before[0].number].failure:
+            surviving(lambda some: self._together(some, self._config), before[:1], lambda *_: [])
+            self._has_learnt = True
 
     def _complete(self) -> None:
         """Do the rest of what was started, and store all results."""
         num_done = 0
-        for part, results in self._current:
-            for number, result in results:
+        for _, results in self._current:
+            for number, result, seconds in results:
                 self._results[number] = result
-            num_done = max(num_done, (part + 1) * self._batch)
+                _log_building(result, seconds)
+                if result.failure:
+                    instead = "it gets a flat roof" if result.reconstruction.has_mesh else "it gets no mesh"
+                    note(result.reconstruction.building_id, result.failure, instead)
+            num_done += len(results)
             self._progress(num_done)
         self._current = ()
 
     def _shared(
-        self, rows: Sequence[Row], config: Reconstruct
-    ) -> Shared[Sequence[Row], list[tuple[int, Result]]]:
-        """The numbers and results of these rows in parts: without a network of one row each, so that the log has the
-        time of each."""
-        parts = [rows[first : first + self._batch] for first in range(0, len(rows), self._batch)]
-        return Shared(lambda part: self._done(list(part), config), parts, self._num_processes)
+        self, rows: Sequence[Row], bare: Sequence[Row], config: Reconstruct
+    ) -> Shared[int, list[_Done]]:
+        """What is done of these rows, in parts: without a network of one row each, so that the log has the
+        time of each. bare: the same without points, which is all that is used of a row that kills each process."""
 
-    def _done(self, rows: Sequence[Row], config: Reconstruct) -> list[tuple[int, Result]]:
+        def part(rows: Sequence[Row], first: int) -> list[Row]:
+            return list(rows[first : first + self._batch])
+
+        def flat(first: int, trace: str) -> list[_Done]:
+            return [(row.number, self._failed(row, trace, config), nan) for row in part(rows, first)]
+
+        def without(first: int, trace: str) -> list[_Done]:
+            some = [replace(row, failure=trace) for row in part(bare, first)]
+            return [(row.number, failed(row, method_name(self._predictor, config)), nan) for row in some]
+
+        return Shared(
+            lambda first: self._done(part(rows, first), config),
+            range(0, len(rows), self._batch),
+            self._num_processes,
+            [flat, without] if met() is not None else (),
+            self._folder,
+        )
+
+    def _done(self, rows: Sequence[Row], config: Reconstruct) -> list[_Done]:
         start = time.perf_counter()
-        results = self._together(rows, config)
-        for each in results:
-            _log_building(each, (time.perf_counter() - start) / len(rows))
-        return [(row.number, result) for row, result in zip(rows, results, strict=True)]
+        results = surviving(
+            lambda some: self._together(some, config),
+            rows,
+            lambda row, trace: [self._failed(row, trace, config)],
+        )
+        seconds = (time.perf_counter() - start) / len(rows)
+        return [(row.number, result, seconds) for row, result in zip(rows, results, strict=True)]
 
     def _together(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
         """The results of these rows, from the points that are their own. One whose footprint has another status than
@@ -249,7 +345,22 @@ class Rows:
         for row in rows:
             rejected = no_mesh(row.building, method, row.status)
             results.append(result_of(row, reconstructions.get(row.number, rejected), config))
+            # where these fail, it should be here, and not where all are written
+            attributes(results[-1], names=config.attribute_names)
         return results
+
+    def _failed(self, row: Row, trace: str, config: Reconstruct) -> Result:
+        """The result of a row at which the code failed: a flat roof if that can be had."""
+        method, row = method_name(self._predictor, config), replace(row, failure=trace)
+
+        def flat(row: Row) -> Result:
+            missing = no_mesh(row.building, method, reasons.INTERNAL_ERROR)
+            roofs = flat_roofs([missing], [row.building], config) if row.building.rings else [missing]
+            result = result_of(row, replace(roofs[0], status=reasons.INTERNAL_ERROR), config)
+            attributes(result, names=config.attribute_names)
+            return result
+
+        return surviving(lambda some: map(flat, some), [row], lambda row, _: [failed(row, method)])[0]
 
 
 def input_columns(features: Features) -> list[dict[str, Any]]:

@@ -49,11 +49,17 @@ def reconstruct_buildings(
     else:
         reconstructions = with_valid_solids(initial, buildings)
     missing = [i for i, reconstruction in enumerate(reconstructions) if not reconstruction.has_mesh]
-    of_missing = [buildings[i] for i in missing]
-    flat = with_fallback([reconstructions[i] for i in missing], of_missing, config)
-    for i, valid in zip(missing, with_valid_solids(flat, of_missing), strict=True):
+    flat = flat_roofs([reconstructions[i] for i in missing], [buildings[i] for i in missing], config)
+    for i, valid in zip(missing, flat, strict=True):
         reconstructions[i] = valid
     return reconstructions
+
+
+def flat_roofs(
+    missing: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
+) -> list[Reconstruction]:
+    """Valid solids with flat roofs for buildings without a mesh, or the reasons for none."""
+    return with_valid_solids(with_fallback(missing, buildings, config), buildings)
 
 
 def method_name(predictor: Predictor | None, config: Reconstruct) -> str:

@@ -8,7 +8,7 @@ on the blocks that compete with it for them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -18,6 +18,7 @@ import shapely
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
+from p2wss.reconstruct.failures import note, surviving
 from p2wss.reconstruct.footprint_flags import contradictions
 from p2wss.reconstruct.registration_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.shifts import (
@@ -105,16 +106,16 @@ def register(features: Features, cloud: Cloud) -> tuple[Features, list[Registrat
     """
     shapes = features.geometry
     blocks = find_blocks(shapes)
-    shifts = block_shifts(blocks, cloud)
+    least_id: dict[int, str] = {}
+    for block, name in zip(blocks.of_footprint.tolist(), features["building_id"].tolist(), strict=True):
+        least_id[block] = min(name, least_id.get(block, name))
+    shifts = block_shifts(blocks, cloud, least_id)
     polygons = polygon_arrays.to_polygons(shapes)
     of_vertex = np.repeat(blocks.of_footprint, np.diff(polygons.vertex_offset))
     xy_m = moved(polygons.xy_m, of_vertex, shifts.shift_m)
     moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
     geometries = polygon_arrays.to_geometries(moved_polygons)
     evidence = contradictions(moved_polygons, cloud)
-    least_id: dict[int, str] = {}
-    for block, name in zip(blocks.of_footprint.tolist(), features["building_id"].tolist(), strict=True):
-        least_id[block] = min(name, least_id.get(block, name))
     rows = []
     for k, block in enumerate(blocks.of_footprint.tolist()):
         if block < 0:
@@ -203,10 +204,10 @@ def moved(xy_m: np.ndarray, block: np.ndarray, shift_m: np.ndarray) -> np.ndarra
     return xy_m + shift_m[block] if len(shift_m) else xy_m
 
 
-def block_shifts(blocks: Blocks, cloud: Cloud) -> Shifts:
-    """The movement of every block."""
+def block_shifts(blocks: Blocks, cloud: Cloud, names: Mapping[int, str] | None = None) -> Shifts:
+    """The movement of every block. names: of blocks, for messages."""
     near = _Near(blocks, cloud)
-    return decide(near.estimates())
+    return decide(near.estimates(names or {}))
 
 
 class _Near:
@@ -236,21 +237,40 @@ class _Near:
         result[point[inside][::-1]] = of_pair[inside][::-1]
         return result
 
-    def estimates(self) -> list[Estimate]:
-        """The estimate of every block."""
+    def estimates(self, names: Mapping[int, str]) -> list[Estimate]:
+        """The estimate of every block; where errors are met, none of a block at which it fails."""
         blocks, rows = self.blocks, list(pairwise(self.edges))
-        shift_m, inside = np.zeros((len(blocks), 2)), self.block_of_points()
-        for block, (first, last) in enumerate(rows):
+        inside = self.block_of_points()
+        failed: set[int] = set()
+
+        def search(block: int) -> np.ndarray:
+            first, last = rows[block]
             point = self.points[block]
             point = point[(inside[point] == block) | (inside[point] < 0)]
             xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
-            shift_m[block] = search_shift(blocks.edge[first:last], xy_m, self.weight[point])
+            return search_shift(blocks.edge[first:last], xy_m, self.weight[point])
+
+        def stays(block: int, trace: str) -> list[np.ndarray]:
+            note(
+                f"registration of the block of {names.get(block, str(block))}", trace, "it stays where it is"
+            )
+            failed.add(block)
+            return [np.zeros(2)]
+
+        def solve(block: int) -> Estimate:
+            first, last = rows[block]
+            last = first if block in failed else last  # without an edge, there is no evidence
+            return solve_shift(edge[first:last], step_m[first:last], shift_m[block])
+
+        def unknown(block: int, trace: str) -> list[Estimate]:
+            return [Estimate(stays(block, trace)[0], np.zeros((2, 2)), float("nan"), 0)]
+
+        numbers = range(len(blocks))
+        found_m = surviving(lambda some: map(search, some), numbers, stays)
+        shift_m = np.array(found_m).reshape(-1, 2)
         edge = moved(blocks.edge.reshape(-1, 2), np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
         step_m = edge_steps(edge, self.x_m, self.y_m, self.weight)
-        return [
-            solve_shift(edge[first:last], step_m[first:last], shift_m[block])
-            for block, (first, last) in enumerate(rows)
-        ]
+        return surviving(lambda some: map(solve, some), numbers, unknown)
 
 
 def decide(estimates: list[Estimate]) -> Shifts:

@@ -12,7 +12,8 @@ import numpy as np
 
 from p2wss.clouds.cropping import seen_share
 from p2wss.config import Reconstruct
-from p2wss.data.building import Building, Reconstruction
+from p2wss.data import reasons
+from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import stride
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
@@ -37,7 +38,7 @@ class Row:
     """A row of the input: a footprint with its points.
 
     number: of the row in the results. status: of the footprint, "ok" or why it cannot be used. columns, registration,
-    dates, ground: as in :class:`Result`.
+    dates, ground, failure: as in :class:`Result`.
     """
 
     number: int
@@ -47,6 +48,7 @@ class Row:
     registration: Registration | None = None
     dates: tuple[date, date] | None = None
     ground: tuple[str, float] | None = None
+    failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class Result:
     ground: where the height of the ground is from, and its standard deviation
     (:class:`p2wss.reconstruct.ground.Grounds`).
     sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
+    failure: of a building with the reason ``internal-error``, the traceback.
     """
 
     reconstruction: Reconstruction
@@ -91,6 +94,7 @@ class Result:
     ground: tuple[str, float] | None = None
     cause: str | None = None
     sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
+    failure: str = ""
 
 
 def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> Result:
@@ -134,6 +138,26 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         overhang_m=overhang_m,
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
         sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
+        failure=row.failure,
+    )
+
+
+def failed(row: Row, method: str) -> Result:
+    """The result of a row where even a flat roof, or what is measured of it, has failed: what needs no computation."""
+    reason, unknown = reasons.INTERNAL_ERROR, float("nan")
+    return Result(
+        no_mesh(row.building, method, reason),
+        "none",
+        reason,
+        len(row.building.point_m),
+        residual_m=unknown,
+        visible_share=unknown,
+        not_representable=False,
+        columns=row.columns,
+        registration=row.registration,
+        dates=row.dates,
+        ground=row.ground,
+        failure=row.failure,
     )
 
 

@@ -24,7 +24,7 @@ from p2wss.config import CLASSES_ALONE, Config, DeviceName, load, section_json
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, grown
-from p2wss.footprints.cleaning import clean_footprints, read_footprints
+from p2wss.footprints.cleaning import read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import Body, frame_around
@@ -32,9 +32,10 @@ from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
 from p2wss.reconstruct import block_skins, exports, registration, unclassified, vegetation
-from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, in_tile, run_area, window
+from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
+from p2wss.reconstruct.failures import Failures
 from p2wss.reconstruct.inputs import Inputs, read_outlines
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result, summary
@@ -212,7 +213,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             run = self._run
             terrain = run.inputs.terrain and run.inputs.terrain[0]
             results, crs = run.results, run.inputs.crs
-            written = exports.write(folder, name, results, crs, run.facts, settings, terrain, run.plants)
+            with run.failures.met():
+                written = exports.write(folder, name, results, crs, run.facts, settings, terrain, run.plants)
             return [folder / each for each in written]
         others = [each for each in settings.outputs if each not in MESH_WRITERS]
         if others and formats is not None:
@@ -243,13 +245,14 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 @dataclass(frozen=True)
 class Run:
     """What a scene keeps of its run. results: in a temporary file. points: the cloud, in another. facts: of the
-    provenance. resources: what is closed with the scene."""
+    provenance. failures: what failed. resources: what is closed with the scene."""
 
     inputs: Inputs
     results: Sequence[Result]
     plants: Sequence[vegetation.Plant]
     points: CloudIndex
     facts: dict[str, Any]
+    failures: Failures
     resources: ExitStack
 
 
@@ -281,6 +284,19 @@ def reconstruct(
     progress: bool | Callable[[int, int], object] = True,
 ) -> Scene:
     """See :func:`p2wss.reconstruct`."""
+    failures = Failures(config.reconstruct.strict)
+    with failures.met():
+        return _reconstruct(inputs, config, selection, machine, progress, failures)
+
+
+def _reconstruct(
+    inputs: Inputs,
+    config: Config,
+    selection: Selection,
+    machine: Machine,
+    progress: bool | Callable[[int, int], object],
+    failures: Failures,
+) -> Scene:
     completion = config.reconstruct.completion and inputs.completion
     settings = config.reconstruct.model_copy(update={"completion": completion})
     config, tile = config.model_copy(update={"reconstruct": settings}), selection.tile
@@ -299,7 +315,7 @@ def reconstruct(
             metric=inputs.metric,
         )
     log.debug("%d footprints read", len(features))
-    features = clean_footprints(features, footprint_settings(config))
+    features = cleaned(features, config)
     log.debug("%d footprints cleaned", len(features))
     is_chosen = in_tile(features, tile, config.region.tile_size_m)
     is_chosen &= chosen(features, selection.ids, selection.bbox, inputs.footprints_name)
@@ -333,7 +349,9 @@ def reconstruct(
         log.info("%d footprints, %d points around them; %s", len(rows), points.num_points, method)
         stem = tile or inputs.name
         with _reporting(progress, len(area.numbers)) as report:
-            to_do = Rows(len(area.numbers), store, predictor, stem, settings, terrain, machine.threads)
+            to_do = Rows(
+                len(area.numbers), store, predictor, stem, settings, terrain, machine.threads, folder
+            )
             run_area(area, points, to_do, registers, report)
         results = store[: len(rows)]
         if registers[area.is_chosen].any():
@@ -353,7 +371,7 @@ def reconstruct(
         if around is not None:
             plants = vegetation.plants(points, around, features.geometry)
             log.info("%d plants", len(plants))
-        run = Run(inputs, results, plants, points, facts, resources.pop_all())
+        run = Run(inputs, results, plants, points, facts, failures, resources.pop_all())
 
     def building(number: int) -> SceneBuilding:
         return _of_result(results[number], config)

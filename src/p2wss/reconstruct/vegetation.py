@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain, product
 
 import numpy as np
 import scipy
@@ -19,6 +20,7 @@ from p2wss.data.tiling import Bounds, grown
 from p2wss.formats.meshes import VEGETATION
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.cloud_index import CloudIndex
+from p2wss.reconstruct.failures import note, surviving
 from p2wss.reconstruct.unclassified import ground_z_m, is_open, planar
 from p2wss.skeleton.angles import bearings
 
@@ -77,23 +79,28 @@ def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[P
     """The plants with tops in a window, which the index covers with a margin of 16 m: of points of the classes of
     plants or, where the cloud has none, of what stands above the ground outside ``footprints`` and is no plane."""
     low_x, low_y, high_x, high_y = (np.floor(window[k] / RULES.tile_m) * RULES.tile_m for k in range(4))
-    result: list[Plant] = []
-    for x in np.arange(low_x, high_x + 1, RULES.tile_m):
-        for y in np.arange(low_y, high_y + 1, RULES.tile_m):
-            tile = (
-                max(x, window[0]),
-                max(y, window[1]),
-                min(x + RULES.tile_m, window[2]),
-                min(y + RULES.tile_m, window[3]),
-            )
-            around = grown((x, y, x + RULES.tile_m, y + RULES.tile_m), RULES.margin_m)
-            cloud = points.near(np.array([around]))
-            # the producer's classes of plants, even where the others are ours
-            own = points.near(np.array([around]), adds_classes=False).classification
-            is_plant = np.isin(own, PLANT_CLASSES) if points.has_plants else None
-            if len(cloud):
-                result += _plants(cloud, is_plant, around, tile, footprints)
-    return result
+
+    def of_tile(corner: tuple[float, float]) -> list[Plant]:
+        x, y = corner
+        tile = (
+            max(x, window[0]),
+            max(y, window[1]),
+            min(x + RULES.tile_m, window[2]),
+            min(y + RULES.tile_m, window[3]),
+        )
+        around = grown((x, y, x + RULES.tile_m, y + RULES.tile_m), RULES.margin_m)
+        cloud = points.near(np.array([around]))
+        # the producer's classes of plants, even where the others are ours
+        own = points.near(np.array([around]), adds_classes=False).classification
+        is_plant = np.isin(own, PLANT_CLASSES) if points.has_plants else None
+        return list(_plants(cloud, is_plant, around, tile, footprints)) if len(cloud) else []
+
+    def none(corner: tuple[float, float], trace: str) -> list[list[Plant]]:
+        note(f"vegetation around {corner[0]:.0f} {corner[1]:.0f}", trace, "there is none")
+        return [[]]
+
+    corners = product(np.arange(low_x, high_x + 1, RULES.tile_m), np.arange(low_y, high_y + 1, RULES.tile_m))
+    return list(chain(*surviving(lambda some: map(of_tile, some), list(corners), none)))
 
 
 def _plants(

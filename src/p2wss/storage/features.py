@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,16 @@ class Features:
     def having(self, **columns: np.ndarray) -> Features:
         """The same with these columns, too, or in place of those of their names."""
         return replace(self, columns={**self.columns, **columns})
+
+    def without(self, name: str) -> Features:
+        """The same without a column."""
+        return replace(self, columns={each: self.columns[each] for each in self.columns if each != name})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Features]) -> Features:
+        """The rows of all parts, at least one, which have the same columns and CRS."""
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].columns}
+        return cls(np.concatenate([part.geometry for part in parts]), columns, parts[0].crs)
 
     def to_frame(self) -> gpd.GeoDataFrame:
         """The same as a table of geopandas."""

@@ -67,7 +67,7 @@ def test_buildings_are_fitted_to_their_own_points() -> None:
     for num_processes in (1, 2):
         results: dict[int, Result] = {}
         rows = Rows(2, results, None, "t", Reconstruct(), num_processes=num_processes)
-        rows.start(np.arange(2), Features.of(frame), Cloud(x, y, z, classes, None))
+        rows.start(rows.prepared(np.arange(2), Features.of(frame), Cloud(x, y, z, classes, None)))
         rows.finish()
         assert results[0].reconstruction.mesh.vertex_m[:, 2].max() == pytest.approx(3.0, abs=0.05)
         sample_m, mesh = results[0].sample_m, results[0].reconstruction.mesh

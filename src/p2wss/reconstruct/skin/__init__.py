@@ -13,6 +13,7 @@ import numpy as np
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
+from p2wss.reconstruct.failures import note, surviving
 from p2wss.reconstruct.skin.common_roofs import with_common_roofs
 from p2wss.reconstruct.skin.noding import node
 from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
@@ -52,7 +53,8 @@ def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) ->
     solids: closed meshes by the ids of the buildings, with vertical walls and one roof height at every place.
     max_lowering_m: floors of touching buildings are lowered by at most this to be level.
 
-    A block whose walls do not fit each other stays in separate skins with their ``failure``: a skin is always closed.
+    A block whose walls do not fit each other stays in separate skins with their ``failure``, and so does one at which
+    the code fails, where errors are met: a skin is always closed.
     """
     if not solids:
         return []
@@ -63,10 +65,23 @@ def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) ->
     touching = building_of[opposite_walls(point, faces)].reshape(-1, 2)
     local = on_common_floors(local, touching, max_lowering_m)
     names, block_of = np.array(list(local), object), groups(len(local), touching)
-    result = []
-    for block in dict.fromkeys(block_of.tolist()):
-        result += _joined({name: local[name] for name in sorted(names[block_of == block])}, origin)
-    return result
+    blocks = [
+        {name: local[name] for name in sorted(names[block_of == block])}
+        for block in dict.fromkeys(block_of.tolist())
+    ]
+
+    def apart(block: Mapping[str, Mesh], trace: str) -> list[Skin]:
+        note(f"skin of the block of {min(block)}", trace, "its buildings stay apart")
+        return unjoined({name: mesh.translated(origin) for name, mesh in block.items()}, "internal error")
+
+    return surviving(lambda some: [skin for block in some for skin in _joined(block, origin)], blocks, apart)
+
+
+def unjoined(solids: Mapping[str, Mesh], failure: str) -> list[Skin]:
+    """A skin for each building, which is its mesh."""
+    return [
+        Skin((name,), mesh, np.zeros(len(mesh.triangle), np.int32), failure) for name, mesh in solids.items()
+    ]
 
 
 def _joined(solids: Mapping[str, Mesh], origin: np.ndarray) -> list[Skin]:

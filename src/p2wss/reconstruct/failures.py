@@ -1,0 +1,83 @@
+"""What a run does where its own code fails: everything else goes on, and the user is told.
+
+Within :meth:`Failures.met`, :func:`surviving` meets what a function raises, be it want of memory. Elsewhere, as with
+``reconstruct.strict``, it raises.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeVar
+
+from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
+
+T = TypeVar("T")
+
+
+class Failures:
+    """The failures of a run. strict: raise the first. traces: by the name of what failed, such as the id of a
+    building, the traceback."""
+
+    def __init__(self, strict: bool = False) -> None:
+        self._strict = strict
+        self.traces: dict[str, str] = {}
+
+    @contextmanager
+    def met(self) -> Iterator[None]:
+        """A block, and the processes forked in it, in which failures are met."""
+        token = _current.set(None if self._strict else self)
+        try:
+            yield
+        finally:
+            _current.reset(token)
+
+    @property
+    def text(self) -> str:
+        """All tracebacks, sorted by what failed."""
+        return "\n".join(f"{name}\n{self.traces[name].rstrip()}\n" for name in sorted(self.traces))
+
+
+_current: ContextVar[Failures | None] = ContextVar("failures", default=None)
+
+
+def met() -> Failures | None:
+    """Those of the run, within :meth:`Failures.met`; else None."""
+    return _current.get()
+
+
+def note(name: str, trace: str, instead: str) -> None:
+    """Keep the traceback of what failed, and log a line the first time. instead: what the run has in its place."""
+    failures = met()
+    if failures is None or name in failures.traces:
+        return
+    failures.traces[name] = trace
+    text = "warning: %s: internal error, %s: %s; see the file .errors.log of the results"
+    log.warning(text, name, instead, trace.rstrip().rsplit("\n", 1)[-1], extra={"fields": {"name": name}})
+    log.debug("%s", trace)
+
+
+def surviving(
+    function: Callable[[Any], Iterable[T]], parts: Any, instead: Callable[[Any, str], Iterable[T]]
+) -> list[T]:
+    """All that ``function`` gives for a sequence of parts; where it raises, for either half of them, and for a single
+    part what ``instead`` gives for that and the traceback.
+
+    The result for a part must not depend on the others. An :class:`InputError` is raised, as the user can correct it.
+    """
+    try:
+        return list(function(parts))
+    except InputError:
+        raise
+    except Exception as error:
+        # compiled code makes another error of an interrupt
+        if met() is None or not len(parts) or isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        trace = traceback.format_exc()
+    if len(parts) == 1:
+        return list(instead(parts[0], trace))
+    middle = len(parts) // 2
+    return [each for half in (parts[:middle], parts[middle:]) for each in surviving(function, half, instead)]
