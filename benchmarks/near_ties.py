@@ -137,7 +137,12 @@ def draw(num: int, seed: int) -> Draws:
         noisy.append([ring + noise_m[k] * rng.normal(size=ring.shape) for ring in exact[-1]])
         angle_deg.append(_angles(rings, kind[k], rng))
     return Draws(
-        Polygons.from_rings(noisy), Polygons.from_rings(exact), np.concatenate(angle_deg), shape, noise_m, kind
+        Polygons.from_rings(noisy),
+        Polygons.from_rings(exact),
+        np.concatenate(angle_deg),
+        shape,
+        noise_m,
+        kind,
     )
 
 
@@ -222,7 +227,9 @@ def _wrong(draws: Draws, meshes: Meshes, area_m2: np.ndarray) -> dict[str, np.nd
 
     return {
         "open": any_of(is_open, side_mesh),
-        "inside-out": any_of((is_top & (normal[:, 2] <= 0.0)) | (is_ground & (normal[:, 2] >= 0.0)), of_triangle),
+        "inside-out": any_of(
+            (is_top & (normal[:, 2] <= 0.0)) | (is_ground & (normal[:, 2] >= 0.0)), of_triangle
+        ),
         "ground-area": np.abs(ground_m2 - area_m2) > 1e-6 * area_m2,
         "top-area": np.abs(top_m2 - area_m2) > 1e-5 * area_m2,
         "slope": any_of((np.abs(off_m) > _PLANE_M).any(axis=1), of_triangle),
@@ -273,7 +280,10 @@ def main() -> int:
         for kind in ANGLES:
             cells = [(shape, noise_m, kind) for noise_m in NOISE_M]
             shares = [1000.0 * failed[cell] / max(drawn[cell], 1) for cell in cells]
-            print(f"{shape:<11}{kind:<9}" + "".join(f"{share:>8.1f}" if share else f"{'-':>8}" for share in shares))
+            print(
+                f"{shape:<11}{kind:<9}"
+                + "".join(f"{share:>8.1f}" if share else f"{'-':>8}" for share in shares)
+            )
         of_shape = sum(count for cell, count in failed.items() if cell[0] == shape)
         figures.row(shape, {"failed": of_shape, "drawn": sum(n for c, n in drawn.items() if c[0] == shape)})
     print(dict(reasons.most_common()))
