@@ -33,7 +33,7 @@ from p2wss.scenes.roofs import FootprintEdges, draw_angles  # noqa: E402
 from p2wss.skeleton import Polygons, Status, build  # noqa: E402
 from p2wss.skeleton.footprint import load_footprint, set_angles  # noqa: E402
 from p2wss.skeleton.kinetic import simulate, skeleton_work  # noqa: E402
-from p2wss.skeleton.queries import QueryPoints, assign, query_work  # noqa: E402
+from p2wss.skeleton.queries import QueryPoints, _assign, query_work  # noqa: E402
 
 FIRST_USE = """
 import time, numpy as np
@@ -245,7 +245,7 @@ def _evaluate(repeats, num_edges, num_rings, angle_deg, work, query, x, y, face,
     for _ in range(repeats):
         status += set_angles(work.edge, num_edges, angle_deg)
         status += simulate(work, num_edges, num_rings, np.inf)
-        status += assign(num_edges, num_rings, np.inf, work, query, QueryPoints(x, y, face, distance))
+        _assign(num_edges, np.inf, work, query, QueryPoints(x, y, face, distance))
     return status
 
 
@@ -277,7 +277,7 @@ def fit_evaluation(num_points: int = 60) -> float:
         seconds.append(cpu_seconds(lambda a=arguments: _evaluate(200, *a)) / 200)
     mean, high = 1e6 * np.mean(seconds), 1e6 * np.quantile(seconds, 0.95)
     print(
-        f"\nset_angles + simulate + assign, {num_points} points, up to 8 edges: {mean:.1f} us (p95 {high:.1f})"
+        f"\nset_angles + simulate + _assign, {num_points} points, up to 8 edges: {mean:.1f} us (p95 {high:.1f})"
     )
     return mean
 

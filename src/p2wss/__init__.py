@@ -183,12 +183,15 @@ def fetch(
 
 
 def roof(
-    footprint: shapely.Polygon | ArrayLike, eave_height_m: float, angle_deg: float | ArrayLike
+    footprint: shapely.Polygon | shapely.MultiPolygon | ArrayLike,
+    eave_height_m: float,
+    angle_deg: float | ArrayLike,
 ) -> trimesh.Trimesh:
     """The building of the paper (section 3): a footprint, a height and an angle per edge make a closed mesh.
 
-    footprint: a polygon, or its vertices (n, 2); metres. eave_height_m: above the ground, z = 0. angle_deg: 0, 90 or 5
-    to 85, one for all edges or one per edge over all rings: edge i begins at vertex i, and 90 is a gable.
+    footprint: a polygon, also as the only part of a MultiPolygon, or its vertices (n, 2); metres; its rings may turn
+    either way. eave_height_m: above the ground, z = 0. angle_deg: 0, 90 or 5 to 85, one for all edges or one per edge
+    over all rings: edge i begins at vertex i, and 90 is a gable.
 
     Raises :class:`InputError` for a footprint or angles without a roof.
 

@@ -61,10 +61,34 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
     }
 
 
+# what a caller of p2wss.roof reads: what is wrong, and what to do
+_WORDS = {
+    skeleton.Status.EMPTY: "it is empty; give at least three corners",
+    skeleton.Status.NON_FINITE: "a coordinate is NaN or infinite; give finite metres",
+    skeleton.Status.TOO_MANY_EDGES: "it has too many corners; simplify it",
+    skeleton.Status.NOT_SIMPLE: (
+        "a ring crosses itself or another ring, or touches it to within 0.1 mm; mend it, as with shapely.make_valid, "
+        "or move the courtyard off the walls"
+    ),
+    skeleton.Status.COURTYARD_OUTSIDE: "a courtyard is not inside the outer ring, or inside another one; remove it",
+    skeleton.Status.NOT_CLEAN: "an edge is shorter than a millimetre, or a ring has no area; remove repeated corners",
+    skeleton.Status.BAD_ANGLE: "an angle is none of 0, 90 and 5 to 85 degrees; change it",
+    skeleton.Status.BAD_HEIGHT: "the eave is not at least a millimetre above the ground; raise it",
+}
+
+
 def roof_mesh(
-    footprint: shapely.Polygon | ArrayLike, eave_height_m: float, angle_deg: float | ArrayLike
+    footprint: shapely.Polygon | shapely.MultiPolygon | ArrayLike,
+    eave_height_m: float,
+    angle_deg: float | ArrayLike,
 ) -> trimesh.Trimesh:
     """See :func:`p2wss.roof`."""
+    if isinstance(footprint, shapely.MultiPolygon) and len(footprint.geoms) == 1:
+        footprint = footprint.geoms[0]
+    if isinstance(footprint, shapely.Geometry) and not isinstance(footprint, shapely.Polygon):
+        raise InputError(
+            f"the footprint is a {footprint.geom_type}, not one polygon: call p2wss.roof once for each polygon"
+        )
     if not isinstance(footprint, shapely.Polygon):
         footprint = shapely.Polygon(np.asarray(footprint, float))
     polygons = polygon_arrays.to_polygons(np.array([footprint], dtype=object))
@@ -74,12 +98,27 @@ def roof_mesh(
     )
     if len(angle) != num_edges:
         raise InputError(f"the footprint has {num_edges} edges, but there are {len(angle)} angles")
-    meshes = skeleton.build(polygons, angle.copy(), np.array([float(eave_height_m)]))
+    polygons, angle = _turned(polygons, angle)
+    meshes = skeleton.build(polygons, angle, np.array([float(eave_height_m)]))
     status = skeleton.Status(int(meshes.status[0]))
     if status != skeleton.Status.OK:
-        raise InputError(f"no roof over this footprint: {status.reason}")
+        words = _WORDS.get(
+            status, f"the geometry kernel failed ({status.reason}); please report this footprint"
+        )
+        raise InputError(f"no roof over this footprint: {words}")
     vertex_m, triangle, kind, _ = meshes.mesh(0)
     return trimesh.Trimesh(vertex_m, triangle, face_attributes={"kind": kind}, process=False)
+
+
+def _turned(polygons: skeleton.Polygons, angle_deg: np.ndarray) -> tuple[skeleton.Polygons, np.ndarray]:
+    """One polygon and its angles with the outer ring counter-clockwise and courtyards clockwise."""
+    rings, angles = polygons.rings(0), np.split(angle_deg, polygons.ring_offset[1:-1])
+    for number, ring in enumerate(rings):
+        if shapely.is_ccw(shapely.LinearRing(ring)) != (number == 0):
+            rings[number] = ring[::-1]
+            # the edge from a corner back to the one before it comes first now
+            angles[number] = np.roll(angles[number][::-1], -1)
+    return skeleton.Polygons.from_rings([rings]), np.concatenate([*angles, np.zeros(0)])
 
 
 def mesh_columns(meshes: skeleton.Meshes, rows: np.ndarray, num_rows: int) -> dict[str, Any]:

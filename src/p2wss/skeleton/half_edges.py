@@ -7,9 +7,11 @@ that 0 degree edges have swept, roof pieces that share a plane.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, inner
+from p2wss.skeleton.compiled import ZERO, embedded, inner
 from p2wss.skeleton.records import (
     NUM_ARCS,
     NUM_NODES,
@@ -22,8 +24,11 @@ from p2wss.skeleton.records import (
 )
 from p2wss.skeleton.status import OK, OVERFLOW
 
-_WELD_M = 1e-5  # nodes nearer to each other than this are merged
-_STRAIGHT_M = 1e-6  # a point nearer to a line than this lies on it
+_SAME_PLACE_M = 1e-5  # what is nearer together in plan than this is at one place
+_STRAIGHT_M = 1e-6  # an edge nearer to the line of another than this lies on it
+_BENT_M = (
+    10.0 * _SAME_PLACE_M
+)  # what a place beside it moves a point between two planes, unless they are almost parallel
 _PARALLEL = 1e-7
 
 
@@ -39,7 +44,7 @@ def _face_label(
         if edge[face].angle_deg == 90.0:
             return wall_label(num_edges, counts, face)
         return face
-    if cap_height[face - num_edges] <= _WELD_M:
+    if cap_height[face - num_edges] <= _SAME_PLACE_M:
         return flat_label(num_edges, counts)
     return face
 
@@ -53,45 +58,68 @@ def find(parent: np.ndarray, a: int) -> int:
     return a
 
 
-@inner
-def _weld(parent: np.ndarray, a: int, b: int, num_edges: int) -> None:
-    """Merge two nodes. The footprint's corners keep their numbers and are not merged with each other."""
-    a, b = find(parent, a), find(parent, b)
-    if a > b:
-        a, b = b, a
-    if a != b and b >= num_edges:
-        parent[b] = a
+class _Places(NamedTuple):
+    """The nodes of the skeleton; ``number[:num]``, those that stand for all at their place, with ``x`` and ``y`` of
+    each; by how much two at one place in plan differ in height if they are above each other at a wall."""
+
+    node: np.ndarray
+    number: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    num: int
+    storey_m: float
+
+
+@embedded
+def _storey(edge: np.ndarray, num_edges: int) -> float:
+    """What the steepest roof rises over the tolerance in plan, and as much again as the tolerance."""
+    slowest = np.inf
+    for e in range(num_edges):
+        if 0.0 < edge[e].final_speed < slowest:
+            slowest = edge[e].final_speed
+    return (1.0 + 1.0 / slowest) * _SAME_PLACE_M
+
+
+@embedded
+def _num_about(places: _Places, x: float, y: float) -> int:
+    """How many places are less than the tolerance from a point in x and in y."""
+    count = 0
+    for m in range(places.num):
+        count += (abs(places.x[m] - x) < _SAME_PLACE_M) & (abs(places.y[m] - y) < _SAME_PLACE_M)
+    return count
 
 
 @inner
-def _weld_nodes(
-    num_edges: int,
-    node: np.ndarray,
-    arc: np.ndarray,
-    counts: np.ndarray,
-    parent: np.ndarray,
-    weld_up_to: float,
-) -> None:
-    """Merge the ends of very short arcs, and nodes at one place up to the height ``weld_up_to``."""
-    num_nodes = counts[NUM_NODES]
+def _nearest_place(places: _Places, k: int) -> int:
+    """The number of the place that node k is at, the nearest one; k if it is at none."""
+    node = places.node
+    best, best_m = k, _SAME_PLACE_M
+    for m in range(places.num):
+        a = places.number[m]
+        dx, dy = node[k].x - node[a].x, node[k].y - node[a].y
+        distance = np.sqrt(dx * dx + dy * dy)
+        if distance < best_m and abs(node[k].z - node[a].z) < places.storey_m:
+            best, best_m = a, distance
+    return best
+
+
+@embedded
+def _gather_nodes(node: np.ndarray, num_nodes: int, mesh_work: MeshWork, storey_m: float) -> _Places:
+    """Let the first of several nodes at one place stand for the others, ``parent[k]`` for node k; the corners of the
+    footprint come first."""
+    number, x, y, parent = mesh_work.place, mesh_work.place_x, mesh_work.place_y, mesh_work.parent
+    places = _Places(node, number, x, y, ZERO, storey_m)
     for k in range(num_nodes):
         parent[k] = k
-    for k in range(counts[NUM_ARCS]):
-        a, b = arc[k].start, arc[k].end
-        dx, dy, dz = node[a].x - node[b].x, node[a].y - node[b].y, node[a].z - node[b].z
-        if dx * dx + dy * dy + dz * dz < _WELD_M * _WELD_M:
-            _weld(parent, a, b, num_edges)
-    for b in range(num_edges, num_nodes):
-        if node[b].z > weld_up_to or parent[b] != b:
-            continue
-        for a in range(b):
-            if (
-                abs(node[a].x - node[b].x) < _WELD_M
-                and abs(node[a].y - node[b].y) < _WELD_M
-                and abs(node[a].z - node[b].z) < _WELD_M
-            ):
-                _weld(parent, a, b, num_edges)
-                break
+        if _num_about(places, node[k].x, node[k].y) > 0:
+            parent[k] = _nearest_place(places, k)
+        if parent[k] == k:
+            number[places.num], x[places.num], y[places.num] = k, node[k].x, node[k].y
+            places = _Places(node, number, x, y, places.num + 1, storey_m)
+    for k in range(num_nodes):
+        if parent[k] != k:  # a later place may be nearer
+            parent[k] = _nearest_place(places, k)
+    return places
 
 
 @inner
@@ -138,44 +166,132 @@ def _add(half: np.ndarray, label_head: np.ndarray, num_half: int, start: int, en
 
 
 @inner
-def _add_subdivided(
-    node: np.ndarray, mesh_work: MeshWork, num_half: int, start: int, end: int, label: int, num_cut: int
+def _put_cells_ahead(
+    places: _Places, mesh_work: MeshWork, ends: tuple[int, int], end_places: tuple[int, int]
 ) -> int:
-    """Add an edge, cut at those of the nodes ``cut_node[:num_cut]`` that lie on it. Returns the number of
-    half-edges, or -1 if there is no room."""
-    half, label_head, cut_node = mesh_work.half, mesh_work.label_head, mesh_work.cut_node
-    on_edge, on_at = mesh_work.on_edge, mesh_work.on_at
-    # the same order of computation in both directions, so that both are cut in the same way
-    a, b = min(start, end), max(start, end)
+    """Write the places whose cells an arc runs through, the last one first, to ``ahead``, without the place of its
+    start. The cell of a place is all that is nearer to it than to any other, up to the tolerance. Returns the number.
+    """
+    node, near, ahead = places.node, mesh_work.near, mesh_work.ahead
+    a, b = ends
     dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
-    length = np.sqrt(dx * dx + dy * dy + dz * dz)
-    num_on = 0
-    if length > _STRAIGHT_M:
-        dx, dy, dz = dx / length, dy / length, dz / length
-        for k in range(num_cut):
-            m = cut_node[k]
-            qx, qy, qz = node[m].x - node[a].x, node[m].y - node[a].y, node[m].z - node[a].z
-            along = qx * dx + qy * dy + qz * dz
-            if along <= _STRAIGHT_M or along >= length - _STRAIGHT_M or m in (a, b):
-                continue
-            qx, qy, qz = qx - along * dx, qy - along * dy, qz - along * dz
-            if qx * qx + qy * qy + qz * qz < _STRAIGHT_M * _STRAIGHT_M:
-                at = num_on
-                while at > 0 and on_at[at - 1] > along:
-                    on_at[at] = on_at[at - 1]
-                    on_edge[at] = on_edge[at - 1]
-                    at -= 1
-                on_at[at] = along
-                on_edge[at] = m
-                num_on += 1
-    if num_half + num_on + 1 > len(half):
-        return -1
-    last = start
-    for k in range(num_on):
-        m = on_edge[k] if start == a else on_edge[num_on - 1 - k]
-        num_half = _add(half, label_head, num_half, last, m, label)
-        last = m
-    return _add(half, label_head, num_half, last, end, label)
+    length = np.sqrt(dx * dx + dy * dy)
+    ahead[0] = end_places[1]
+    num_ahead = ZERO + 1
+    if length == 0.0:
+        return num_ahead
+    dx, dy, dz = dx / length, dy / length, dz / length
+    num_near = ZERO
+    for m in range(places.num):
+        k = places.number[m]
+        qx, qy = node[k].x - node[a].x, node[k].y - node[a].y
+        across, along = abs(qx * dy - qy * dx), qx * dx + qy * dy
+        is_near = across < _SAME_PLACE_M and -_SAME_PLACE_M < along < length + _SAME_PLACE_M
+        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:
+            near[num_near] = k
+            num_near += 1
+    for i in range(num_near):
+        k = near[i]
+        if k == end_places[0] or k == end_places[1]:
+            continue
+        qx, qy = node[k].x - node[a].x, node[k].y - node[a].y
+        across, along = abs(qx * dy - qy * dx), qx * dx + qy * dy
+        reach = np.sqrt(_SAME_PLACE_M * _SAME_PLACE_M - across * across)
+        first, last = max(along - reach, 0.0), min(along + reach, length)
+        for j in range(num_near):
+            wx, wy = node[near[j]].x - node[k].x, node[near[j]].y - node[k].y
+            ahead_of_it = wx * dx + wy * dy
+            limit = 0.5 * (wx * (wx + 2.0 * qx) + wy * (wy + 2.0 * qy))
+            if ahead_of_it > 0.0:
+                last = min(last, limit / ahead_of_it)
+            elif ahead_of_it < 0.0:
+                first = max(first, limit / ahead_of_it)
+        if first < last:
+            at = num_ahead
+            while at > 1:
+                w = ahead[at - 1]
+                if (node[w].x - node[k].x) * dx + (node[w].y - node[k].y) * dy > 0.0:
+                    break
+                ahead[at] = w
+                at -= 1
+            ahead[at] = k
+            num_ahead += 1
+    return num_ahead
+
+
+@inner
+def _place_on_edge(places: _Places, a: int, b: int) -> int:
+    """The place nearest to the edge from a to b that it almost touches, -1 for none."""
+    node = places.node
+    dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
+    length = np.sqrt(dx * dx + dy * dy)
+    dx, dy, dz = dx / length, dy / length, dz / length
+    best, best_m = -1, 0.5 * _SAME_PLACE_M
+    for m in range(places.num):
+        k = places.number[m]
+        qx, qy = node[k].x - node[a].x, node[k].y - node[a].y
+        across = abs(qx * dy - qy * dx)
+        along = qx * dx + qy * dy
+        is_near = across < best_m and 0.0 < along < length and k != a and k != b
+        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:
+            best, best_m = k, across
+    return best
+
+
+@embedded
+def _is_alone(places: _Places, a: int, b: int) -> bool:
+    """Whether an arc from place a to place b is near to no other place."""
+    a_x, a_y = places.node[a].x, places.node[a].y
+    dx, dy = places.node[b].x - a_x, places.node[b].y - a_y
+    length = np.sqrt(dx * dx + dy * dy)
+    dx, dy = dx / length, dy / length
+    count = 0
+    for m in range(places.num):  # without branches, so that several are compared at once
+        qx, qy = places.x[m] - a_x, places.y[m] - a_y
+        along = qx * dx + qy * dy
+        count += (
+            (abs(qx * dy - qy * dx) < _SAME_PLACE_M)
+            & (along > -_SAME_PLACE_M)
+            & (along < length + _SAME_PLACE_M)
+        )
+    return count == 2
+
+
+@embedded
+def _add_arc(
+    places: _Places, mesh_work: MeshWork, num_half: int, ends: tuple[int, int], labels: tuple[int, int]
+) -> int:
+    """Add an arc (start, end) under the labels of its left and right face, by way of all places that it passes through.
+    Returns the number of half-edges, or -1 if there is no room.
+
+    This is snap rounding, with cells around places instead of a grid: arcs that do not cross never will. (Guibas and
+    Marimont, *Rounding arrangements dynamically*, 1998.)
+    """
+    half, label_head, ahead = mesh_work.half, mesh_work.label_head, mesh_work.ahead
+    a, b = mesh_work.parent[ends[0]], mesh_work.parent[ends[1]]
+    is_alone = a == ends[0] and b == ends[1] and _is_alone(places, a, b)
+    num_ahead, ahead[0] = ZERO + 1, b
+    if not is_alone:
+        num_ahead = _put_cells_ahead(places, mesh_work, ends, (a, b))
+    while num_ahead > 0:
+        b = ahead[num_ahead - 1]
+        if a == b:
+            num_ahead -= 1
+            continue
+        k = -1 if is_alone else _place_on_edge(places, a, b)
+        if k >= 0:
+            if num_ahead == len(ahead):
+                return -1
+            ahead[num_ahead] = k
+            num_ahead += 1
+            continue
+        if num_half + 2 > len(half):
+            return -1
+        num_half = _add(half, label_head, num_half, a, b, labels[0])
+        num_half = _add(half, label_head, num_half, b, a, labels[1])
+        a = b
+        num_ahead -= 1
+    return num_half
 
 
 @inner
@@ -195,47 +311,29 @@ def _cancel_label(half: np.ndarray, label_head: np.ndarray, label: int) -> None:
 
 
 @inner
-def collect_half_edges(
-    num_edges: int, skeleton_work: SkeletonWork, mesh_work: MeshWork, thorough: bool
-) -> tuple[int, int]:
+def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: MeshWork) -> tuple[int, int]:
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
-    Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is corner i on the ground.
-    What different 0 degree edges sweep may touch at the eave, so edges there are cut where nodes lie on them.
-    Elsewhere that happens by coincidence only (two unrelated events at one place and height), so it is done
-    only if ``thorough``.
+    Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is corner i on the ground. Whatever is nearer together
+    than the tolerance becomes one: nodes at one place, and arcs that pass through it. What lies between them is gone
+    then, as it would be had the events been simultaneous.
     """
     edge, node, arc = skeleton_work.edge, skeleton_work.node, skeleton_work.arc
     cap_height, counts = skeleton_work.cap_height, skeleton_work.counts
-    parent, label_parent, label_head = mesh_work.parent, mesh_work.label_parent, mesh_work.label_head
-    half = mesh_work.half
+    half, label_parent, label_head = mesh_work.half, mesh_work.label_parent, mesh_work.label_head
     num_nodes = counts[NUM_NODES]
     labels = num_labels(num_edges, counts)
     if labels > len(label_head) or num_nodes + num_edges > len(mesh_work.out_head):
         return OVERFLOW, 0
-    num_flat = 0
-    for i in range(num_edges):
-        if edge[i].angle_deg == 0.0:
-            num_flat += 1
-    cut_up_to = -1.0
-    if 0 < num_flat < num_edges:
-        cut_up_to = 1e-9
-    if thorough:
-        cut_up_to = np.inf
-    _weld_nodes(num_edges, node, arc, counts, parent, cut_up_to)
+    places = _gather_nodes(node, num_nodes, mesh_work, _storey(edge, num_edges))
     _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent)
     for label in range(labels):
         label_head[label] = -1
-    num_cut = ZERO
-    for k in range(num_nodes):
-        if parent[k] == k and node[k].z <= cut_up_to:
-            mesh_work.cut_node[num_cut] = k
-            num_cut += 1
     num_half = ZERO
     ground = ground_label(num_edges, counts)
     for k in range(counts[NUM_ARCS] + num_edges):
         if k < counts[NUM_ARCS]:
-            a, b = find(parent, arc[k].start), find(parent, arc[k].end)
+            a, b = arc[k].start, arc[k].end
             left = find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].left))
             right = find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].right))
         else:
@@ -249,19 +347,11 @@ def collect_half_edges(
             num_half = _add(half, label_head, num_half, num_nodes + a, num_nodes + b, right)
             num_half = _add(half, label_head, num_half, num_nodes + b, b, right)
             num_half = _add(half, label_head, num_half, a, num_nodes + a, right)
-        if a == b or left == right:
+        if left == right:
             continue
-        for side in range(2):
-            if side == 1:
-                a, b, left = b, a, right
-            if node[a].z <= cut_up_to and node[b].z <= cut_up_to:
-                num_half = _add_subdivided(node, mesh_work, num_half, a, b, left, num_cut)
-            elif num_half < len(half):
-                num_half = _add(half, label_head, num_half, a, b, left)
-            else:
-                num_half = -1
-            if num_half < 0:
-                return OVERFLOW, 0
+        num_half = _add_arc(places, mesh_work, num_half, (a, b), (left, right))
+        if num_half < 0:
+            return OVERFLOW, 0
     for label in range(labels):
         if label != ground and label_head[label] >= 0:
             _cancel_label(half, label_head, label)
@@ -272,7 +362,7 @@ def collect_half_edges(
 def drop_straight_points(
     half: np.ndarray, num_half: int, degree: np.ndarray, point: np.ndarray, num_points: int
 ) -> None:
-    """Remove the points that, after faces have merged, lie on a straight line between two faces."""
+    """Remove the points between two faces only, which lie on the line where their planes meet, up to the tolerance."""
     for k in range(num_points):
         degree[k] = 0
     for h in range(num_half):
@@ -294,7 +384,7 @@ def drop_straight_points(
         ex, ey, ez = point[k, 0] - point[a, 0], point[k, 1] - point[a, 1], point[k, 2] - point[a, 2]
         cx, cy, cz = dy * ez - dz * ey, dz * ex - dx * ez, dx * ey - dy * ex
         length2 = dx * dx + dy * dy + dz * dz
-        if cx * cx + cy * cy + cz * cz > _STRAIGHT_M * _STRAIGHT_M * length2 or length2 == 0.0:
+        if cx * cx + cy * cy + cz * cz > _BENT_M * _BENT_M * length2 or length2 == 0.0:
             continue
         for h in range(num_half):
             if half[h].alive == 0 or half[h].end != k:
@@ -303,4 +393,14 @@ def drop_straight_points(
                 if half[m].alive == 1 and half[m].start == k and half[m].label == half[h].label:
                     half[h].end = half[m].end
                     half[m].alive = 0
+                    break
+            for m in range(num_half):  # the rest of a face without area
+                if (
+                    half[m].alive == 1
+                    and half[m].label == half[h].label
+                    and half[m].start == half[h].end
+                    and half[m].end == half[h].start
+                ):
+                    half[m].alive = 0
+                    half[h].alive = 0
                     break

@@ -46,6 +46,7 @@ from p2wss.skeleton.rings import crosses
 from p2wss.skeleton.status import BROKEN_WAVEFRONT, NO_EVENT, OK, OVERFLOW, TOO_MANY_EVENTS
 
 _PARALLEL = 1e-7  # sine below which two edges are parallel
+_OBLIQUE = 1e-3  # sine above which the point where two edges meet is precise
 _REFLEX = -1e-9
 _LENGTH_M = 1e-7  # a piece shorter than this has vanished
 _STILL = 1e-12  # a rate of change below this counts as zero
@@ -174,6 +175,28 @@ def _collapse_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: in
 
 
 @inner
+def _beyond(edge: np.ndarray, e: int, x: float, y: float, t: float) -> float:
+    """How far a place is from the line of edge e at height t, positive where the edge moves to."""
+    return (y - edge[e].y) * edge[e].dir_x - (x - edge[e].x) * edge[e].dir_y - edge[e].speed * t
+
+
+@inner
+def _meeting_point(
+    edge: np.ndarray, left: int, right: int, x: float, y: float, t: float
+) -> tuple[float, float]:
+    """Where the lines of two edges meet at height t; the given place, nearby, if they are almost parallel. A vertex
+    that starts there carries no error of earlier events on."""
+    cross = edge[left].dir_x * edge[right].dir_y - edge[left].dir_y * edge[right].dir_x
+    if abs(cross) < _OBLIQUE:
+        return x, y
+    from_left, from_right = _beyond(edge, left, x, y, t) / cross, _beyond(edge, right, x, y, t) / cross
+    return (
+        x + from_right * edge[left].dir_x - from_left * edge[right].dir_x,
+        y + from_right * edge[left].dir_y - from_left * edge[right].dir_y,
+    )
+
+
+@inner
 def _split_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, a: int, t: float) -> float:
     """Height at which the reflex vertex v runs into the piece that starts at vertex a."""
     b = vertex[a].next
@@ -188,7 +211,7 @@ def _split_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, 
         return _NEVER
     v_x, v_y = _position(node, vertex, v, t)
     a_x, a_y = _position(node, vertex, a, t)
-    gap = (v_y - a_y) * dir_x - (v_x - a_x) * dir_y
+    gap = _beyond(edge, e, v_x, v_y, t)
     if gap <= -_LENGTH_M:
         return _NEVER
     dt = max(gap, 0.0) / -approach
@@ -462,8 +485,9 @@ def _cap_everything(work: SkeletonWork, num_edges: int, t: float) -> None:
 
 @inner
 def _merge(work: SkeletonWork, v: int, w: int, x: float, y: float, t: float) -> int:
-    """The piece from v to its successor w vanishes at (x, y): one vertex replaces both."""
+    """The piece from v to its successor w vanishes about (x, y): one vertex replaces both."""
     node, vertex, arc, counts = work.node, work.vertex, work.arc, work.counts
+    x, y = _meeting_point(work.edge, vertex[v].left, vertex[w].right, x, y, t)
     here = _add_node(node, counts, x, y, t)
     _add_arc(arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
     _add_arc(arc, counts, vertex[w].node, here, vertex[w].left, vertex[w].right)

@@ -102,13 +102,11 @@ def _triangulate_faces(num_faces: int, mesh_work: MeshWork) -> int:
 
 
 @inner
-def finish_solid(
-    walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork, thorough: bool
-) -> tuple[int, int, int]:
+def finish_solid(walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork) -> tuple[int, int, int]:
     """From the skeleton to faces, triangles and checks. Returns (status, number of vertices, triangles)."""
     num_edges = walls.num_edges
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
-    status, num_half = collect_half_edges(num_edges, skeleton_work, mesh_work, thorough)
+    status, num_half = collect_half_edges(num_edges, skeleton_work, mesh_work)
     if status != OK:
         return status, 0, 0
     point = mesh_work.point
@@ -175,11 +173,7 @@ def solid_mesh(
     walls = Walls(
         num_edges, last_ring - first_ring, plan_area, batch.eave_height_m[p], batch.base_height_m[p]
     )
-    num_vertices, num_triangles = 0, 0
-    for thorough in (False, True):
-        status, num_vertices, num_triangles = finish_solid(walls, skeleton_work, mesh_work, thorough)
-        if status == OK:
-            break
+    status, num_vertices, num_triangles = finish_solid(walls, skeleton_work, mesh_work)
     return status, num_edges, num_vertices, num_triangles
 
 
@@ -198,9 +192,11 @@ def mesh_work(max_edges: int) -> MeshWork:
         label_parent=np.zeros(num_points, np.int64),
         label_head=np.zeros(num_points, np.int64),
         out_head=np.zeros(num_points, np.int64),
-        cut_node=np.zeros(num_points, np.int64),
-        on_edge=np.zeros(num_points, np.int64),
-        on_at=np.zeros(num_points),
+        place=np.zeros(num_points, np.int64),
+        place_x=np.zeros(num_points),
+        place_y=np.zeros(num_points),
+        near=np.zeros(num_points, np.int64),
+        ahead=np.zeros(num_points, np.int64),
         half=np.zeros(num_halves, HALF),
         ring=corners[0],
         ring_start=np.zeros(num_halves, np.int64),

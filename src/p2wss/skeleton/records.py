@@ -141,9 +141,11 @@ class MeshWork(NamedTuple):
     label_parent: np.ndarray
     label_head: np.ndarray
     out_head: np.ndarray
-    cut_node: np.ndarray
-    on_edge: np.ndarray
-    on_at: np.ndarray
+    place: np.ndarray
+    place_x: np.ndarray
+    place_y: np.ndarray
+    near: np.ndarray
+    ahead: np.ndarray
     half: np.ndarray
     ring: Corners
     ring_start: np.ndarray

@@ -9,6 +9,9 @@ from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.records import Corners, Ears
 
 _SMALLEST_QUALITY = 1e-9
+# distances from a side over its length: a corner nearer than the first lies on it, and one nearer than the second is a
+# reason to cut elsewhere
+_ON_SIDE, _BESIDE = 1e-10, 1e-6
 
 
 @inner
@@ -127,17 +130,19 @@ def join_holes(
 
 @inner
 def _ear_quality(corners: Corners, ears: Ears, i: int) -> float:
-    """Area of the ear at i over its longest side squared, or 0 if there is no ear."""
+    """Area of the ear at i over its longest side squared, or of the sliver that clipping it would leave, if one; 0 if
+    there is no ear."""
     uv, point, after = corners.uv, corners.point, ears.after
     a, c = ears.before[i], after[i]
     area = _cross(uv, a, i, c)
     ab_u, ab_v = uv[i, 0] - uv[a, 0], uv[i, 1] - uv[a, 1]
     bc_u, bc_v = uv[c, 0] - uv[i, 0], uv[c, 1] - uv[i, 1]
     ca_u, ca_v = uv[a, 0] - uv[c, 0], uv[a, 1] - uv[c, 1]
-    longest2 = max(ab_u * ab_u + ab_v * ab_v, bc_u * bc_u + bc_v * bc_v, ca_u * ca_u + ca_v * ca_v)
+    ab2, bc2, ca2 = ab_u * ab_u + ab_v * ab_v, bc_u * bc_u + bc_v * bc_v, ca_u * ca_u + ca_v * ca_v
+    longest2 = max(ab2, bc2, ca2)
     if longest2 == 0.0 or area <= _SMALLEST_QUALITY * longest2:
         return 0.0
-    near = -1e-10 * longest2
+    quality = area / longest2
     q = after[c]
     while q != a:
         if (
@@ -145,14 +150,17 @@ def _ear_quality(corners: Corners, ears: Ears, i: int) -> float:
             and point[q] != point[i]
             and point[q] != point[c]
             and (
-                ab_u * (uv[q, 1] - uv[a, 1]) - ab_v * (uv[q, 0] - uv[a, 0]) >= near
-                and bc_u * (uv[q, 1] - uv[i, 1]) - bc_v * (uv[q, 0] - uv[i, 0]) >= near
-                and ca_u * (uv[q, 1] - uv[c, 1]) - ca_v * (uv[q, 0] - uv[c, 0]) >= near
+                ab_u * (uv[q, 1] - uv[a, 1]) - ab_v * (uv[q, 0] - uv[a, 0]) >= -_ON_SIDE * ab2
+                and bc_u * (uv[q, 1] - uv[i, 1]) - bc_v * (uv[q, 0] - uv[i, 0]) >= -_ON_SIDE * bc2
             )
         ):
-            return 0.0
+            from_cut = ca_u * (uv[q, 1] - uv[c, 1]) - ca_v * (uv[q, 0] - uv[c, 0])
+            if from_cut >= -_ON_SIDE * ca2:
+                return 0.0
+            if from_cut > -_BESIDE * ca2:
+                quality = min(quality, -from_cut / ca2)
         q = after[q]
-    return area / longest2
+    return quality
 
 
 @inner
