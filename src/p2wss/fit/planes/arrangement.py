@@ -69,7 +69,7 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
     place, link, line = _pieces(np.concatenate([edge_ends(rings), ends_of(lines, far_m)]) / GRID_M)
     place_m = place * GRID_M
-    is_beside = ((place_m < low - GRID_M) | (place_m > high + GRID_M)).any(axis=1)
+    is_beside = np.any((place_m < low - GRID_M) | (place_m > high + GRID_M), axis=1)
     drawn = np.asarray(shapely.linestrings(place_m[link[~is_beside[link].any(axis=1)]]), object)
     cells = shapely.get_parts(shapely.polygonize(drawn))
     middle = shapely.point_on_surface(cells)
