@@ -125,6 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
     log_lines.start(words)
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
+    logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # and so does GDAL
     logging.getLogger("pyogrio").setLevel(logging.WARNING)  # pyogrio reports every file that it writes
     if instruction := os.environ.get(_COMPLETE):
         return shell_complete(program, {}, "p2wss", _COMPLETE, instruction)

@@ -15,7 +15,8 @@ import yaml
 from p2wss.data.manifest import read_manifest
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_files import bounds_of, crs_of
+from p2wss.storage.las_crs import crs_of
+from p2wss.storage.las_files import bounds_of
 
 Facts = dict[str, Any]
 

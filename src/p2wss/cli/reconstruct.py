@@ -75,6 +75,8 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 @setting("reconstruct.fit")
 @setting("reconstruct.roofs")
 @setting("reconstruct.max_triangles", type=int, default="", metavar="N")
+@setting("reconstruct.height_unit")
+@setting("reconstruct.terrain_unit")
 @setting("reconstruct.footprint_schema")
 @setting("reconstruct.id_field", metavar="COLUMN")
 @setting("reconstruct.height_field", metavar="COLUMN")

@@ -15,7 +15,8 @@ from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_files import KIND, bounds_of, crs_of, open_cloud
+from p2wss.storage.las_crs import crs_of, stated_crs
+from p2wss.storage.las_files import KIND, bounds_of, open_cloud
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
@@ -68,12 +69,15 @@ _NOTHING = Cloud(
 
 @dataclass(frozen=True)
 class CloudHeader:
-    """What the header of a file states. bounds: None where it states none."""
+    """What the header of a file states. bounds: None where it states none. heights: vertical CRS of its heights, which
+    may be stated without a CRS. doubts: what is wrong with its CRS, a line each."""
 
     path: Path
     num_points: int
     crs: pyproj.CRS | None
     bounds: Bounds | None
+    heights: pyproj.CRS | None = None
+    doubts: tuple[str, ...] = ()
 
     def overlaps(self, bounds: Bounds) -> bool:
         """Whether points may be within ``bounds``."""
@@ -103,10 +107,15 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
     for path in paths:
         with open_cloud(path) as reader:
             header = reader.header
-            crs = crs_of(header)
+            stated = stated_crs(header)
         x_min, y_min, x_max, y_max = bounds = bounds_of(header)
         has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
-        headers.append(CloudHeader(path, int(header.point_count), crs, bounds if has_bounds else None))
+        count = int(header.point_count)
+        headers.append(
+            CloudHeader(
+                path, count, stated.crs, bounds if has_bounds else None, stated.heights, stated.doubts
+            )
+        )
     common_header(headers)
     return headers
 
@@ -148,6 +157,20 @@ def read_in_chunks(
         with reading(path, KIND):
             for header, points in _chunks(path, bounds):
                 yield _cloud(points, header, bounds, classes, crs)
+
+
+def extent(headers: Sequence[CloudHeader]) -> Bounds | None:
+    """Bounds of the first cloud with points: those that its header states, else those of its points."""
+    for header in headers:
+        if header.bounds is not None:
+            return header.bounds
+        parts = [part for part in read_in_chunks([header.path]) if len(part)] if header.num_points else []
+        if parts:
+            lows = [(float(part.x_m.min()), float(part.y_m.min())) for part in parts]
+            highs = [(float(part.x_m.max()), float(part.y_m.max())) for part in parts]
+            (x_min, y_min), (x_max, y_max) = np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()
+            return x_min, y_min, x_max, y_max
+    return None
 
 
 def cloud_of(data: laspy.LasData, classes: ClassSet = LAS) -> Cloud:

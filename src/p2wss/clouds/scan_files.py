@@ -19,7 +19,8 @@ import pyproj
 
 from p2wss.clouds.reading import Cloud
 from p2wss.storage import files, integrity
-from p2wss.storage.las_files import crs_of, open_cloud
+from p2wss.storage.las_crs import crs_of
+from p2wss.storage.las_files import open_cloud
 
 MM = 0.001
 _READ_AT_ONCE = 1_000_000

@@ -83,6 +83,7 @@ class Materials(Section):
     )
 
 
+HeightUnit = Literal["", "m", "ft", "us-ft", "dm", "cm", "mm"]
 SchemaName = Literal["auto", "bdtopo", "overture", "osm", "bag", "3dbag", "swissbuildings"]
 
 
@@ -125,7 +126,13 @@ class Outlines(Section):
 class Reconstruct(Section):
     """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
-    neutral: ClassVar = {"max_triangles": None, "max_failed_fraction": 0.2, "strict": False}
+    neutral: ClassVar = {
+        "max_triangles": None,
+        "max_failed_fraction": 0.2,
+        "strict": False,
+        "height_unit": "",
+        "terrain_unit": "",
+    }
     footprint_schema: SchemaName = Field(
         "auto",
         description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
@@ -135,6 +142,12 @@ class Reconstruct(Section):
     height_field: str = Field(
         "",
         description="column with building heights in metres above the ground; '' = those of footprint_schema",
+    )
+    height_unit: HeightUnit = Field(
+        "", description="unit of the heights of clouds, whatever they state; '' = what they state"
+    )
+    terrain_unit: HeightUnit = Field(
+        "", description="unit of the heights of --terrain, whatever it states; '' = what it states"
     )
     keep_columns: list[str] = Field(
         ["all"], description="columns of the footprints to copy to tables and CityJSON; [all] = all"

@@ -12,6 +12,7 @@ import shapely
 
 from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError
+from p2wss.storage.las_crs import UNKNOWN, is_plausible, unit_m, vertical_part
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -20,14 +21,19 @@ if TYPE_CHECKING:
 # a transformation that is less accurate moves footprints visibly
 _ACCURATE_M = 0.5
 _SAME_PLACE_M = 1e-4
+# lengths in a projection may differ from those on the ground by this share
+_MAX_DISTORTION = 0.005
+# coordinates this near to zero, outside the area of use, are local ones
+_LOCAL = 10_000.0
 
 
 @dataclass(frozen=True)
 class MetricCrs:
     """The CRS of a run, and the conversion from the CRS of the clouds into it.
 
-    source: of the clouds. crs: the same with metres in place of other units; of clouds in degrees the zone of UTM.
-    horizontal_m, vertical_m: lengths of the source's units; the first is None for degrees.
+    source: of the clouds. crs: the same with metres in place of other units; the zone of UTM of clouds in degrees, or
+    in a projection whose lengths are not those on the ground. horizontal_m, vertical_m: lengths of the source's units;
+    the first is None where coordinates are transformed to UTM.
     """
 
     source: pyproj.CRS
@@ -48,6 +54,14 @@ class MetricCrs:
         low_x, low_y, high_x, high_y = (value / self.horizontal_m for value in bounds)
         return low_x, low_y, high_x, high_y
 
+    def bounds_of_run(self, bounds: Bounds) -> Bounds:
+        """A window of the clouds in the CRS of the run."""
+        if self.horizontal_m is None:
+            low_x, low_y, high_x, high_y = self._transformer.transform_bounds(*bounds)
+        else:
+            low_x, low_y, high_x, high_y = (value * self.horizontal_m for value in bounds)
+        return low_x, low_y, high_x, high_y
+
     def points(
         self, x: np.ndarray, y: np.ndarray, z: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -58,26 +72,32 @@ class MetricCrs:
             x_m, y_m = x * self.horizontal_m, y * self.horizontal_m
         return x_m, y_m, z * self.vertical_m
 
-    def terrain(self, terrain: Terrain, terrain_crs: pyproj.CRS, path: str | Path) -> Terrain:
-        """A raster in the CRS of the run, or in that of the clouds, which may have other units.
-
-        Raises :class:`InputError` for one in another CRS.
-        """
-        if same_crs(terrain_crs, self.crs) and self.horizontal_m != 1.0:
-            return terrain
-        check_crs(terrain_crs, self.source, path, "the clouds are", "reproject it")
-        if self.is_source or self.horizontal_m is None:
-            return terrain
-        # heights have the unit that the raster states, else that of the clouds
-        vertical_m = _vertical_m(terrain_crs) or self.vertical_m
-        scale = self.horizontal_m
-        return replace(
-            terrain,
-            height_m=(terrain.height_m * vertical_m).astype(np.float32),
-            x_min_m=terrain.x_min_m * scale,
-            y_max_m=terrain.y_max_m * scale,
-            cell_m=terrain.cell_m * scale,
+    def unstated_m(self, terrain_crs: pyproj.CRS) -> float:
+        """Length of the unit of heights of a raster that does not state it: that of the clouds in their CRS, else that
+        of x and y."""
+        if same_crs(terrain_crs, self.source):
+            return self.vertical_m
+        return (
+            float(horizontal(terrain_crs).axis_info[0].unit_conversion_factor)
+            if terrain_crs.is_projected
+            else 1.0
         )
+
+    def terrain(self, terrain: Terrain, terrain_crs: pyproj.CRS, path: str | Path) -> Terrain:
+        """A raster with heights in metres in the CRS of the run; a message says that one in another CRS is
+        reprojected."""
+        if same_crs(terrain_crs, self.crs):
+            return terrain
+        if same_crs(terrain_crs, self.source) and self.horizontal_m is not None:
+            scale = self.horizontal_m
+            return replace(
+                terrain,
+                x_min_m=terrain.x_min_m * scale,
+                y_max_m=terrain.y_max_m * scale,
+                cell_m=terrain.cell_m * scale,
+            )
+        log.info("note: %s: reprojected from %s to %s", path, terrain_crs.name, self.crs.name)
+        return terrain.warped(horizontal(terrain_crs).to_wkt(), horizontal(self.crs).to_wkt())
 
     @property
     def _transformer(self) -> pyproj.Transformer:
@@ -85,21 +105,35 @@ class MetricCrs:
 
 
 def common_crs(
-    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
+    cloud: pyproj.CRS | None,
+    frame: pyproj.CRS | None,
+    stated: str | None,
+    names: tuple[str, str],
+    bounds: Bounds | None = None,
 ) -> tuple[pyproj.CRS, str | None]:
     """The CRS of the clouds, and a note if it was assumed.
 
     cloud, frame: the CRS that clouds and footprints state, if any. stated: the CRS of the clouds that the user states.
-    names: of the two files. Raises :class:`InputError` if the user states another CRS than the clouds, or if no CRS
-    is stated.
+    names: of the two files. bounds: of the clouds. Raises :class:`InputError` if no CRS is stated, or none by the
+    clouds where the footprints are in degrees. If the user states another CRS than the clouds, that is taken, with a
+    warning, unless the bounds contradict the user and not the clouds.
     """
     note = None
     if stated is not None:
         stated_crs = parsed_crs(stated, "--crs")
-        if cloud is not None and not same_crs(cloud, stated_crs):
-            raise InputError(f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; omit --crs")
+        is_other = cloud is not None and not same_crs(cloud, stated_crs)
+        if cloud is not None and is_other:
+            place = None if bounds is None else ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+            if place is not None and is_plausible(cloud, place) and not is_plausible(stated_crs, place):
+                raise InputError(
+                    f"{names[0]} is in {cloud.name}, in whose area it lies, but --crs states {stated_crs.name}, in"
+                    " whose area it does not lie; omit --crs"
+                )
+            text = "warning: %s states that it is in %s; --crs overrides that: %s"
+            log.warning(text, names[0], cloud.name, stated_crs.name)
         # heights that the user states are part of the CRS
-        cloud = stated_crs if cloud is None or not cloud.is_compound else cloud
+        if cloud is None or is_other or not cloud.is_compound or stated_crs.is_compound:
+            cloud = stated_crs
     if cloud is None and frame is not None and frame.is_geographic:
         raise InputError(
             f"{names[0]} does not state its CRS, and {names[1]} is in degrees, which is unlikely for clouds; state that"
@@ -117,36 +151,51 @@ def common_crs(
     return crs, note
 
 
-def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[MetricCrs, str | None]:
+def metric_crs(
+    source: pyproj.CRS, bounds: Bounds | None, name: str, vertical_m: float | None = None
+) -> tuple[MetricCrs, str | None]:
     """The CRS of a run on clouds in ``source``, and a note if it differs.
 
     A CRS in feet is replaced by the one of EPSG that is the same in metres, else by a CRS of the same name and
     "(metres)"; heights in feet by heights in metres above the same datum. Heights whose unit is not stated are taken to
-    be in the unit of x and y. bounds: of a cloud, to choose a zone of UTM for clouds in degrees. name: of a cloud.
+    be in the unit of x and y. Degrees, and a projection in which lengths differ by more than 0.5 % from those on the
+    ground, are replaced by a zone of UTM. bounds: of a cloud, where that is decided. name: of a cloud. vertical_m:
+    length of the unit of heights, whatever ``source`` states.
 
-    Raises :class:`InputError` for a CRS that is neither projected nor geographic.
+    Raises :class:`InputError` for a CRS that is neither projected nor geographic, and for degrees without bounds.
     """
     flat = horizontal(source)
+    stated_m = _vertical_m(source) if vertical_m is None else vertical_m
+    if flat.is_geographic and bounds is None:
+        raise InputError(
+            f"{name}: is in {source.name}, in degrees, and has no points that tell in which zone of UTM"
+        )
     if flat.is_geographic and bounds is not None:
         crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
-        vertical_m = _vertical_m(source) or 1.0
         note = f"the clouds are in {source.name}, in degrees; processing and outputs are in {crs.name}"
-        return MetricCrs(source, crs, None, vertical_m), note
+        return MetricCrs(source, crs, None, stated_m or 1.0), note
     factors = {axis.unit_conversion_factor for axis in flat.axis_info}
     if not flat.is_projected or len(factors) != 1:
         raise InputError(
-            f"{name}: {source.name} is not a projected CRS and cannot be transformed to one in metres"
+            f"{name}: {source.name} is not a projected CRS and cannot be transformed to one in metres; state another"
+            " with --crs, or reproject it"
         )
     (horizontal_m,) = factors
-    stated_vertical_m = _vertical_m(source)
-    vertical_m = horizontal_m if stated_vertical_m is None else stated_vertical_m
+    vertical_m = horizontal_m if stated_m is None else stated_m
+    if bounds is not None and (scale := _worst_scale(flat, bounds)) is not None:
+        crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
+        note = (
+            f"the clouds are in {source.name}, in which a metre on the ground is {scale:.4g} m long here; processing"
+            f" and outputs are in {crs.name}"
+        )
+        return MetricCrs(source, crs, None, vertical_m), note
     if horizontal_m == 1.0 and vertical_m == 1.0:
         return MetricCrs(source, source), None
     crs = _in_metres(flat) if horizontal_m != 1.0 else flat
-    if source.is_compound:
+    if source.is_compound and source.sub_crs_list[1].name != UNKNOWN:
         vertical = _in_metres(source.sub_crs_list[1])
         crs = pyproj.crs.CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
-    assumed = "" if stated_vertical_m is not None else " (heights assumed to be in the unit of x and y)"
+    assumed = "" if stated_m is not None else " (heights assumed to be in the unit of x and y)"
     note = (
         f"the clouds are in {source.name}, with units of {horizontal_m:.10g} m, and {vertical_m:.10g} m for heights"
         f"{assumed}; processing and outputs are in metres, in {crs.name}"
@@ -194,9 +243,35 @@ def check_crs(
 
 def _vertical_m(crs: pyproj.CRS) -> float | None:
     """Length of the unit of heights, None if the CRS has none."""
-    if crs.is_compound:
-        return float(crs.sub_crs_list[1].axis_info[0].unit_conversion_factor)
-    return float(crs.axis_info[2].unit_conversion_factor) if len(crs.axis_info) == 3 else None
+    vertical = vertical_part(crs)
+    return None if vertical is None else unit_m(vertical)
+
+
+def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None:
+    """(the smallest, the largest) length in a projection of a metre on the ground, in the middle of bounds; None where
+    that is not known."""
+    flat = horizontal(crs)
+    to_degrees = pyproj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
+    centre = to_degrees.transform((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    if not np.isfinite(centre).all():
+        return None
+    factors = pyproj.Proj(flat).get_factors(*centre)
+    # the axes of the ellipse of distortion (Tissot)
+    half = np.hypot(factors.meridional_scale, factors.parallel_scale)
+    product = factors.areal_scale
+    total, rest = np.sqrt(max(half**2 + 2 * product, 0.0)), np.sqrt(max(half**2 - 2 * product, 0.0))
+    low, high = float(total - rest) / 2, float(total + rest) / 2
+    return (low, high) if np.isfinite([low, high]).all() else None
+
+
+def _worst_scale(crs: pyproj.CRS, bounds: Bounds) -> float | None:
+    """The scale in the middle of bounds that is furthest from 1, if it is too far."""
+    centre = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
+    if np.abs(bounds).max() < _LOCAL and not is_plausible(crs, centre):
+        return None  # drawn or measured around an origin of its own
+    scales = ground_scales(crs, bounds)
+    worst = 1.0 if scales is None else max(scales, key=lambda scale: abs(scale - 1.0))
+    return worst if abs(worst - 1.0) > _MAX_DISTORTION else None
 
 
 def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
@@ -226,15 +301,19 @@ def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
 
 
 def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
+    """The zone of bounds in a CRS."""
+    if crs.is_projected:
+        to_degrees = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
+        bounds = to_degrees.transform_bounds(*bounds)
     x_min, y_min, x_max, y_max = bounds
-    area = pyproj.aoi.AreaOfInterest(x_min, y_min, x_max, y_max)
     if not (-180 <= x_min <= x_max <= 180 and -90 <= y_min <= y_max <= 90):
         raise InputError(
             f"{name}: is in {crs.name}, in degrees, but its bounds are not; state its CRS with --crs"
         )
+    area = pyproj.aoi.AreaOfInterest(x_min, y_min, x_max, y_max)
     zones = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
     if not zones:
-        raise InputError(f"{name}: is in {crs.name}, in degrees, outside all UTM zones; reproject it")
+        raise InputError(f"{name}: is in {crs.name}, outside all UTM zones; reproject it")
     return int(zones[0].code)
 
 

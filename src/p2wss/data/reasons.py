@@ -15,6 +15,10 @@ NON_FINITE = "non-finite"
 IMPLAUSIBLE_SIZE = "implausible-size"
 TOO_MANY_CROSSINGS = "too-many-crossings"
 TOO_MANY_EDGES = "too-many-edges"
+HAS_PARTS = "has-parts"
+DUPLICATE = "duplicate"
+WITHIN_OTHER = "within-other"
+ELSEWHERE = (HAS_PARTS, DUPLICATE, WITHIN_OTHER)  # built by other footprints
 NO_TERRAIN = "no-terrain"
 TOO_HIGH = "too-high"
 
@@ -78,6 +82,9 @@ MEANINGS: dict[str, str] = {
     NON_FINITE: "a coordinate is NaN or infinite",
     IMPLAUSIBLE_SIZE: "the geometry is longer than 5 km",
     TOO_MANY_CROSSINGS: "the rings of the geometry cross about 10,000 times or more",
+    HAS_PARTS: "the footprint is the outline of others, its parts, which are built in its place",
+    DUPLICATE: "another footprint covers nearly the same place, and is built",
+    WITHIN_OTHER: "the footprint lies in others, with which it is built",
     NO_TERRAIN: "the terrain model has too few heights along the footprint (scenes.min_terrain_share)",
     TOO_HIGH: "the eave is higher than scenes.max_eave_height_m",
     TOO_LARGE: "the footprint reaches further than 320 m from its centre, beyond the number format of crops",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +16,7 @@ import scipy
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.las_crs import unit_m, vertical_part
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -23,6 +26,17 @@ if TYPE_CHECKING:
 _MAX_CELLS = 1_600_000_000
 # no compression packs more cells into a byte of a file, except in small ones
 _CELLS_PER_BYTE, _SMALL_CELLS = 1000, 10_000_000
+# no ground is lower or higher, and none so far above or below all cells beside it
+_LOWEST_M, _HIGHEST_M, _MAX_JUMP_M = -500.0, 9000.0, 150.0
+# lengths of units of heights, metres, by the names that rasters have for them
+UNITS_M = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+    **dict.fromkeys(("us-ft", "us survey foot", "us survey feet", "foot_us", "ftus", "sft"), 1200 / 3937),
+    **dict.fromkeys(("dm", "decimetre", "decimeter"), 0.1),
+    **dict.fromkeys(("cm", "centimetre", "centimeter"), 0.01),
+    **dict.fromkeys(("mm", "millimetre", "millimeter"), 0.001),
+}
 
 
 @dataclass(frozen=True)
@@ -54,6 +68,29 @@ class Terrain:
             self.cell_m,
         )
 
+    def warped(self, crs: str, target: str) -> Terrain:
+        """The raster in another CRS, both as WKT: bilinear, with cells of about the same size."""
+        from rasterio.transform import array_bounds, from_origin
+        from rasterio.warp import Resampling, calculate_default_transform, reproject
+
+        rows, columns = self.height_m.shape
+        before = from_origin(self.x_min_m, self.y_max_m, self.cell_m, self.cell_m)
+        bounds = array_bounds(rows, columns, before)
+        after, width, height = calculate_default_transform(crs, target, columns, rows, *bounds)
+        height_m = np.full((height, width), np.nan, np.float32)
+        reproject(
+            self.height_m,
+            height_m,
+            src_transform=before,
+            src_crs=crs,
+            src_nodata=np.nan,
+            dst_transform=after,
+            dst_crs=target,
+            dst_nodata=np.nan,
+            resampling=Resampling.bilinear,
+        )
+        return Terrain(height_m, after.c, after.f, after.a)
+
     def interpolated(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
         """Bilinear height at each point, float64 (n,); NaN if one of the four nearest cells is missing or NaN."""
         column = (np.asarray(x_m) - self.x_min_m) / self.cell_m - 0.5
@@ -75,10 +112,19 @@ def check_size(raster: rasterio.DatasetReader, path: str | Path) -> None:
         )
 
 
-def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyproj.CRS]:
-    """Read a raster of heights (first band) and its CRS; the nodata value becomes NaN.
+def read_terrain(
+    path: str | Path,
+    crs: str | None = None,
+    unit: str = "",
+    unstated_m: Callable[[pyproj.CRS], float] = lambda crs: 1.0,
+) -> tuple[Terrain, pyproj.CRS]:
+    """Read a raster of heights (first band) in metres, and its CRS.
 
-    crs: assumed, with a note, for a raster that does not state one, such as most files .asc.
+    Scale, offset and unit of the band are used, and the unit of the vertical part of its CRS. Cells without data become
+    NaN, and so do heights that cannot be.
+
+    crs: assumed, with a note, for a raster that does not state one, such as most files .asc. unit: of the heights,
+    whatever the raster states: a key of :data:`UNITS_M`. unstated_m: its length where the raster does not state it.
 
     Raises :class:`InputError` if the file is missing, unreadable, rotated or without CRS, or has cells that are not
     square.
@@ -88,18 +134,92 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
     if not str(path).startswith("/vsi") and not Path(path).exists():
         raise InputError(f"{path}: no such file")
     integrity.verify(path)
-    with reading(path, "a readable raster"), rasterio.open(path) as raster:
-        check_size(raster, path)
-        heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
-        transform, stated = raster.transform, raster.crs
+    with reading(path, "a readable raster"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what it lacks is said below
+        with rasterio.open(path) as raster:
+            check_size(raster, path)
+            scale, offset, band_unit = raster.scales[0], raster.offsets[0], raster.units[0] or ""
+            is_plain = (scale, offset) == (1.0, 0.0)
+            heights = raster.read(1, out_dtype="float32" if is_plain else "float64", masked=True).filled(
+                np.nan
+            )
+            transform, stated, num_bands = raster.transform, raster.crs, raster.count
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
         raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
     if stated is None and crs is None:
         raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
-    terrain_crs = pyproj.CRS.from_user_input(stated or crs)
+    with reading(path, "a raster in a CRS that PROJ knows"):
+        terrain_crs = pyproj.CRS.from_user_input(stated or crs)
     if stated is None:
         log.info("note: %s does not state its CRS; assuming %s", path, terrain_crs.name)
-    return Terrain(heights, transform.c, transform.f, transform.a), terrain_crs
+    if num_bands > 1:
+        log.info("note: %s has %d bands; the first is taken for heights", path, num_bands)
+    length_m = UNITS_M[unit] if unit else _stated_unit_m(terrain_crs if stated else None, band_unit, path)
+    length_m = unstated_m(terrain_crs) if length_m is None else length_m
+    if not is_plain or length_m != 1.0:
+        heights = ((heights.astype(np.float64) * scale + offset) * length_m).astype(np.float32)
+    terrain = Terrain(heights, transform.c, transform.f, transform.a)
+    return without_impossible(terrain, path), terrain_crs
+
+
+def _stated_unit_m(crs: pyproj.CRS | None, band_unit: str, path: str | Path) -> float | None:
+    """Length of the unit of heights that the band and the CRS of a raster state, the former if they differ."""
+    of_band = UNITS_M.get(band_unit.strip().lower().replace("_", " ").removesuffix("."))
+    vertical = None if crs is None else vertical_part(crs)
+    of_crs = None if vertical is None else unit_m(vertical)
+    if band_unit and of_band is None and of_crs is None:
+        log.warning(
+            "warning: %s: its heights are in %s, an unknown unit (--terrain-unit states one)", path, band_unit
+        )
+    if of_band is not None and of_crs is not None and not np.isclose(of_band, of_crs, rtol=1e-6):
+        text = (
+            "warning: %s: heights are in %s by the band, in units of %.10g m by the CRS; the band's is taken"
+        )
+        log.warning(text + " (--terrain-unit overrides)", path, band_unit, of_crs)
+    return of_crs if of_band is None else of_band
+
+
+def without_impossible(terrain: Terrain, path: str | Path) -> Terrain:
+    """The terrain with NaN in place of heights that cannot be, with a warning that names their number.
+
+    These are below -500 m, above 9,000 m, or values that are, wherever they are, 150 m above or below all cells beside
+    them with other values.
+    """
+    height_m = terrain.height_m
+    with np.errstate(invalid="ignore"):
+        wrong = (height_m < _LOWEST_M) | (height_m > _HIGHEST_M) | np.isinf(height_m)
+    height_m = np.where(wrong, np.float32(np.nan), height_m) if wrong.any() else height_m
+    lone = _lone(height_m)
+    if not (wrong.any() or lone.any()):
+        return terrain
+    values, counts = np.unique(terrain.height_m[wrong | lone], return_counts=True)
+    number, most = int(counts.sum()), values[counts.argmax()]
+    text = "warning: %s: no ground is at the heights of %d of its cells, such as %g m; they count as without data"
+    log.warning(text, path, number, most)
+    return replace(terrain, height_m=np.where(lone, np.float32(np.nan), height_m))
+
+
+def _lone(height_m: np.ndarray) -> np.ndarray:
+    """Whether each cell has a value that is far from all other values beside it, in every place where it occurs."""
+    is_far, is_tied = np.zeros((2, *height_m.shape), bool)
+    with np.errstate(invalid="ignore"):
+        for axis in (0, 1):
+            step_m = np.abs(np.diff(height_m, axis=axis))
+            far, tied = step_m > _MAX_JUMP_M, (step_m > 0) & (step_m <= _MAX_JUMP_M)
+            for result, found in ((is_far, far), (is_tied, tied)):
+                low, high = [slice(None)] * 2, [slice(None)] * 2
+                low[axis], high[axis] = slice(None, -1), slice(1, None)
+                result[tuple(low)] |= found
+                result[tuple(high)] |= found
+    if not is_far.any():
+        return is_far
+    values = np.setdiff1d(height_m[is_far & ~is_tied], height_m[is_tied])
+    lone = np.isin(height_m, values)
+    # of two levels far from each other and tied to nothing, the larger is the ground
+    levels, counts = np.unique(height_m[np.isfinite(height_m)], return_counts=True)
+    if np.isfinite(height_m).sum() == lone.sum():
+        lone &= height_m != levels[counts.argmax()]
+    return lone
 
 
 def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[str, Any]) -> None:

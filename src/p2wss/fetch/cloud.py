@@ -15,7 +15,8 @@ import pyproj
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import Bounds, are_near, grown
 from p2wss.storage import files, integrity
-from p2wss.storage.las_files import bounds_of, crs_of, open_cloud
+from p2wss.storage.las_crs import crs_of
+from p2wss.storage.las_files import bounds_of, open_cloud
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them

@@ -18,6 +18,7 @@ from p2wss.data.crs import MetricCrs, horizontal, reprojected
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
+from p2wss.footprints.overlaps import tell, without_overlaps
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import read_attributes, read_vector
 from p2wss.storage.errors import InputError
@@ -178,7 +179,8 @@ def _box_centres(shapes: np.ndarray) -> np.ndarray:
 def clean_footprints(features: Features, config: Scenes) -> Features:
     """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
 
-    After :func:`split_parts`, footprints that touch, overlap or are at most ``snap_m`` apart are cleaned as one
+    After :func:`split_parts`, each place belongs to one footprint (:func:`p2wss.footprints.overlaps.
+    without_overlaps`). Then footprints that touch, overlap or are at most ``snap_m`` apart are cleaned as one
     coverage (:func:`p2wss.footprints.coverage.clean_coverage`), so that they keep the walls that they share. A
     footprint that cannot be part of it, for instance because it touches itself, is cut apart where it does, and cleaned
     by itself. Every footprint keeps a row: ``status`` is "ok" or the reason for exclusion, and an excluded footprint
@@ -186,9 +188,30 @@ def clean_footprints(features: Features, config: Scenes) -> Features:
 
     The result of a footprint depends on those of its block only, and not on the order of the rows.
     """
-    result = split_parts(features, config.min_area_m2, config.simplify_m)
+    features = split_parts(features, config.min_area_m2, config.simplify_m)
+    is_small = (features["status"] == reasons.OK) & (shapely.area(features.geometry) < config.min_area_m2)
+    features = _excluding(features, is_small, _TOO_SMALL)
+    while True:
+        alone, is_covering = without_overlaps(features)
+        result = _cleaned(alone, config)
+        # those in whose place others are not built must be built
+        is_lost = is_covering & (alone["status"] == reasons.OK) & (result["status"] != reasons.OK)
+        if not is_lost.any():
+            tell(result)
+            return result
+        features = _excluding(features, is_lost, result["status"])
+
+
+def _excluding(features: Features, is_excluded: np.ndarray, reason: str | np.ndarray) -> Features:
+    """The footprints, of which some have a reason and no polygon."""
+    status, shapes = np.where(is_excluded, reason, features["status"]), features.geometry.copy()
+    shapes[is_excluded] = shapely.Polygon()
+    return replace(features.having(status=status), geometry=shapes)
+
+
+def _cleaned(result: Features, config: Scenes) -> Features:
+    """The footprints as coverages, or each by itself where it cannot be part of one."""
     status, shapes = result["status"].copy(), result.geometry.copy()
-    status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     usable = np.flatnonzero(status == reasons.OK)
     shapes[usable] = [_without_small_courtyards(shape, config.min_area_m2) for shape in shapes[usable]]
     cleaned = clean_coverage(shapes[usable], config)
@@ -241,4 +264,4 @@ def _cut_apart(shape: shapely.Polygon) -> shapely.Polygon | None:
     cut = shape.difference(shapely.union_all(contacts).buffer(2 * _OPENING_M, cap_style="square"))
     eroded = cut.buffer(-_OPENING_M, join_style="mitre")
     pieces = shapely.get_parts(eroded.buffer(_OPENING_M, join_style="mitre"))
-    return pieces[np.argmax(shapely.area(pieces))] if len(pieces) else None
+    return max(pieces, key=shapely.area) if shapely.area(pieces).any() else None

@@ -123,6 +123,12 @@ def building_ids(
     Raises :class:`InputError` if there is no column ``id_field``.
     """
     by_name = {column.lower(): column for column in columns}
+    if {"osm_id", "osm_way_id"} <= set(by_name):  # GDAL states one of them: that of a relation, or of a way
+        relation, way = columns[by_name["osm_id"]], columns[by_name["osm_way_id"]]
+        is_way = is_missing(relation) & ~is_missing(way)
+        ids = np.where(is_way, np.array(_as_text(way), object), np.array(_as_text(relation), object))
+        ids[is_missing(relation) & is_missing(way)] = None
+        columns = {**columns, by_name["osm_id"]: ids}
     if id_field is not None:
         _column(columns, id_field, path)
         candidates = [id_field]

@@ -27,7 +27,7 @@ _POINT, _LINE, _POLYGON = 1, 2, 3
 
 
 def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Features, np.ndarray]:
-    """(the features of the first layer, in the order of the file, the number of each in the file).
+    """(the features of the first layer with polygons, in the order of the file, the number of each in the file).
 
     bounds: only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of
     a TIN, the faces of a polyhedral surface a multipolygon. Times are text.
@@ -38,7 +38,7 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Feature
         raise InputError(f"{path}: no such file")
     integrity.verify(path)
     with reading(path, _KIND):
-        if str(path).endswith(".parquet"):
+        if _is_parquet(path):
             import geopandas as gpd
             import pyarrow.parquet as pq
 
@@ -49,7 +49,7 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Feature
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
         meta, number, wkb, values = pyogrio.raw.read(
-            path, bbox=bounds, return_fids=True, datetime_as_string=True
+            path, layer=_layer(path), bbox=bounds, return_fids=True, datetime_as_string=True
         )
     if wkb is None:
         raise InputError(f"{path}: has no geometry")
@@ -62,15 +62,32 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Feature
         return Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs), number
 
 
+def _is_parquet(path: str | Path) -> bool:
+    """Whether a file is Parquet, or should be by its name."""
+    if Path(path).suffix.lower() in (".parquet", ".geoparquet"):
+        return True
+    if not Path(path).is_file():
+        return False
+    with open(path, "rb") as file:
+        return file.read(4) == b"PAR1"
+
+
+def _layer(path: str | Path) -> str | None:
+    """The first layer with polygons; None for the first of all, if there is none or only one layer."""
+    layers = pyogrio.list_layers(path).tolist()
+    with_polygons = [name for name, kind in layers if kind and ("Polygon" in kind or "Surface" in kind)]
+    return with_polygons[0] if len(layers) > 1 and with_polygons else None
+
+
 def layer_info(path: Path) -> dict[str, Any]:
-    """What a file states of its first layer, without reading the features: ``features`` (their number),
+    """What a file states of the layer that is read, without reading the features: ``features`` (their number),
     ``geometry_type`` (None without geometry), ``fields`` and ``crs``. Raises :class:`InputError` if it is broken."""
-    if path.suffix.lower() == ".parquet":  # GDAL may come without its driver for Parquet
+    if _is_parquet(path):  # GDAL may come without its driver for Parquet
         return _geoparquet_info(path)
     with reading(path, _KIND), warnings.catch_warnings():
         # several layers are reported when the file is read
         warnings.simplefilter("ignore")
-        return dict(pyogrio.read_info(path))
+        return dict(pyogrio.read_info(path, layer=_layer(path)))
 
 
 def _geoparquet_info(path: Path) -> dict[str, Any]:
@@ -100,13 +117,18 @@ def read_attributes(path: str | Path, columns: tuple[str, ...]) -> tuple[dict[st
 def _attributes(
     path: str, changed_ns: int, columns: tuple[str, ...]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    if path.endswith(".parquet"):
+    if _is_parquet(path):
         import pandas as pd
 
         frame = pd.read_parquet(path, columns=list(columns))
         return columns_of(frame), np.arange(len(frame))
     meta, number, _, values = pyogrio.raw.read(
-        path, columns=list(columns), read_geometry=False, return_fids=True, datetime_as_string=True
+        path,
+        layer=_layer(path),
+        columns=list(columns),
+        read_geometry=False,
+        return_fids=True,
+        datetime_as_string=True,
     )
     return dict(zip(meta["fields"].tolist(), values, strict=True)), number
 

@@ -89,7 +89,7 @@ def _shells(document: dict[str, Any], vertex_m: np.ndarray) -> Iterator[Shell]:
             boundaries = geometry.get("boundaries", [])
             solids = {"Solid": [boundaries], "MultiSolid": boundaries, "CompositeSolid": boundaries}
             for solid in solids.get(geometry["type"], []):
-                for number, shell in enumerate(solid):
+                for number, shell in enumerate(solid or [[]]):  # one without shells is not valid either
                     surfaces = [
                         Surface(FaceKind.WALL, -1, [_ring(ring, vertex_m) for ring in rings])
                         for rings in shell

@@ -76,6 +76,8 @@ def breaches(
     faces are valid, and whether faces cross only if the shell is closed. vertex_m: float64 (v, 3), coordinates as a
     file stores them. is_outer: false for the shell of a hollow, whose faces look inwards.
     """
+    if not surfaces:
+        return [Breach(301)]
     faces = _Faces.of(vertex_m, surfaces, tolerances.snap_m)
     result = faces.breaches(tolerances)
     if not result and len(surfaces) < 4:

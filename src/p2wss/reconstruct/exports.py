@@ -14,6 +14,7 @@ import pyproj
 
 from p2wss.config import ERRORS_SUFFIX, OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.config.reconstruct import Output
+from p2wss.data.reasons import DUPLICATE, ELSEWHERE, HAS_PARTS
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import grown
 from p2wss.formats import gpkg, qgis, sionna
@@ -273,13 +274,14 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     to_check: list[tuple[float, str]] = []
     for result in results:
         is_contradicted = result.registration is not None and result.registration.flags
-        if result.status != "ok" or result.not_representable or is_contradicted:
+        is_excluded = result.status != "ok" and result.reason not in (HAS_PARTS, DUPLICATE)
+        if is_excluded or result.not_representable or is_contradicted:
             to_check.append((-np.nan_to_num(result.residual_m), result.reconstruction.building_id))
         status[result.status] += 1
         reasons.update(filter(None, [result.reason]))
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
         not_representable += result.not_representable
-        without_points += result.num_points == 0
+        without_points += result.num_points == 0 and result.reason not in ELSEWHERE
         triangles += result.reconstruction.num_triangles
     return {
         "total": len(results),

@@ -18,12 +18,13 @@ from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
 from p2wss.data.crs import MetricCrs, common_crs, metric_crs
 from p2wss.data.las_classes import LAS, ClassSet, class_set
-from p2wss.data.terrain import Terrain, read_terrain
+from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.las_crs import with_heights
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -118,19 +119,38 @@ def check_inputs(
         columns += [name for name in settings.keep_columns if name != "all"]
         footprints_crs = _check_footprints(footprints, columns, may_be_empty)
         names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
-    source, note = common_crs(header.crs, footprints_crs, crs, names)
-    metric, note_of_units = metric_crs(source, header.bounds, names[0])
+    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+        log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
+    source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
+    metric, note_of_units = _metric(source, headers, points, config.reconstruct.height_unit)
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)
     if not may_be_empty and not any(each.num_points for each in headers):
         raise InputError(f"{headers[0].path}: has no points")
     raster = None
     if terrain is not None:
-        heights, heights_crs = read_terrain(terrain, metric.source.to_wkt())
+        unit = config.reconstruct.terrain_unit
+        heights, heights_crs = read_terrain(terrain, metric.source.to_wkt(), unit, metric.unstated_m)
         raster = (metric.terrain(heights, heights_crs, terrain), Path(terrain))
+        windows = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
+        if windows and not any(raster[0].cut(window).height_m.size for window in windows):
+            raise InputError(
+                f"{terrain}: is in {heights_crs.name}, and has no cell at {names[0]}: is that its CRS?"
+            )
     return Inputs(
         _name(cloud), headers, points, footprints, metric, raster, weights, str(model) != NO_NETWORK
     )
+
+
+def _metric(
+    source: pyproj.CRS, headers: Sequence[CloudHeader], points: Cloud | None, unit: str
+) -> tuple[MetricCrs, str | None]:
+    """The CRS of a run on these clouds in ``source``, which may state their heights apart, and a note if it differs."""
+    heights = next((each.heights for each in headers if each.heights is not None), None)
+    if heights is not None:
+        source = with_heights(source, heights)
+    bounds = headers[0].bounds if points is not None else reading.extent(headers)
+    return metric_crs(source, bounds, str(headers[0].path), UNITS_M.get(unit))
 
 
 def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: ClassSet = LAS) -> Cloud:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ import shapely
 
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import CLASSES_ALONE, Config, DeviceName, load, section_json
-from p2wss.data import polygon_arrays
+from p2wss.data import polygon_arrays, reasons
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.cleaning import read_footprints
@@ -31,7 +32,7 @@ from p2wss.formats.meshes import Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
-from p2wss.reconstruct import block_skins, exports, registration, unclassified, vegetation
+from p2wss.reconstruct import block_skins, exports, plausibility, registration, unclassified, vegetation
 from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -43,6 +44,7 @@ from p2wss.reconstruct.spool import Spool
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.features import Features
 from p2wss.storage.progress import Progress
 from p2wss.storage.provenance import fingerprint
 from p2wss.storage.temporary import Closeable
@@ -329,6 +331,8 @@ def _reconstruct(
         points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
         store = resources.enter_context(Spool[Any](2 * len(area.numbers), folder))
         if outline_cloud is None:
+            if tile is None and len(rows) and shapely.is_empty(rows.geometry).all():
+                raise InputError(_none_usable(rows, inputs))
             if tile is None and not inputs.overlap(window(features)):
                 raise InputError(_no_overlap(len(features), inputs))
             for chunk in inputs.chunks(points.bounds, class_set(**config.region.classes.model_dump())):
@@ -343,6 +347,10 @@ def _reconstruct(
             registers |= inputs.footprints is not None
         if inputs.terrain is not None:
             exports.check_coverage(*inputs.terrain, rows)
+        if points.num_points:
+            sample = plausibility.sample_of(rows, points, terrain)
+            log.info("%s", plausibility.summary(sample))
+            plausibility.check(sample, inputs, settings.height_unit, settings.terrain_unit)
         for note in exports.notes(settings, rows, terrain is not None):
             log.info("note: %s", note)
         method = f"model {inputs.weights}" if inputs.weights else "fit to the points"
@@ -357,7 +365,7 @@ def _reconstruct(
         if registers[area.is_chosen].any():
             log.info("%s", registration.summary(result.registration for result in results))
         if tile is None and inputs.footprints is not None and not any(r.num_points for r in results):
-            raise InputError(_no_overlap(len(results), inputs))
+            raise InputError(_no_overlap(len(results), inputs, points.num_points))
         if terrain is not None and (difference := exports.terrain_note(results, terrain)):
             log.info("note: %s", difference)
         facts = files.provenance(
@@ -418,7 +426,20 @@ def _reporting(
         yield lambda num_done: None
 
 
-def _no_overlap(num_footprints: int, inputs: Inputs) -> str:
+def _none_usable(rows: Features, inputs: Inputs) -> str:
+    counts = Counter(rows["status"].tolist()).most_common()
+    reasons_text = "; ".join(
+        f"{reason}: {count} ({reasons.MEANINGS.get(reason, reason)})" for reason, count in counts
+    )
+    return f"{inputs.footprints_name}: none of its {len(rows)} footprints can be built: {reasons_text}"
+
+
+def _no_overlap(num_footprints: int, inputs: Inputs, num_points: int = 0) -> str:
+    if num_points:
+        return (
+            f"{inputs.headers[0].path}: has {num_points} points around the {num_footprints} footprints of"
+            f" {inputs.footprints_name}, but none on them: are points of buildings missing, or footprints displaced?"
+        )
     return (
         f"{inputs.headers[0].path}: no point near any of the {num_footprints} footprints of {inputs.footprints_name}:"
         " do they cover the same place, in the same CRS?"

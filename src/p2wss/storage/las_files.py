@@ -9,14 +9,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import laspy
-import pyproj
 
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
-from p2wss.storage.log_lines import log
 
-# GeoTIFF keys
-_GEOGRAPHIC_CRS, _PROJECTED_CRS = 2048, 3072
 # the phrase of messages
 KIND = "a readable LAS, LAZ or COPC file, or truncated"
 _SIGNATURE = b"LASF"
@@ -37,20 +33,6 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
         check_header(path)
         with laspy.open(path, **options) as reader:
             yield reader
-
-
-def crs_of(header: laspy.LasHeader) -> pyproj.CRS | None:
-    """The CRS that a header states; None if it states none, or none that PROJ knows, so that one that the user states
-    is taken. Some clouds have an unknown geographic CRS beside their projected one, which alone counts."""
-    for record in header.vlrs.get("GeoKeyDirectoryVlr"):
-        if any(key.id == _PROJECTED_CRS and key.value_offset for key in record.geo_keys):
-            record.geo_keys = [key for key in record.geo_keys if key.id != _GEOGRAPHIC_CRS]
-            record.geo_keys_header.number_of_keys = len(record.geo_keys)
-    try:
-        return header.parse_crs()
-    except pyproj.exceptions.CRSError as error:
-        log.warning("the CRS that a cloud states is not used: %s", error)
-        return None
 
 
 def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float]:

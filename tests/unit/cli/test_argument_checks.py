@@ -279,7 +279,7 @@ def test_a_terrain_without_crs_is_in_that_of_the_clouds(
     content = (place / "dtm.asc").read_text().replace("651970", "951970")
     (place / "dtm.asc").write_text(content)
     assert run(place, *options) == 2
-    assert "dtm.asc: has no height at any of the 1 footprints" in capsys.readouterr().err
+    assert "dtm.asc: is in RGF93 v1 / Lambert-93, and has no cell at" in capsys.readouterr().err
 
 
 def test_a_torch_without_cuda_is_refused_by_its_version(

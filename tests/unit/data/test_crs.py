@@ -14,12 +14,13 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.crs import MetricCrs, metric_crs, reprojected
+from p2wss.data.crs import MetricCrs, common_crs, metric_crs, reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.storage.errors import InputError
 
 FOOT = 1200 / 3937
 NEW_YORK, NEW_YORK_FEET = pyproj.CRS.from_epsg(32118), pyproj.CRS.from_epsg(2263)
+MERCATOR = pyproj.CRS.from_epsg(3857)
 OLEMPS = SHARED / "data" / "olemps_bdtopo" / "BATIMENT.shp"
 
 
@@ -85,14 +86,80 @@ def test_feet_without_a_twin_in_metres() -> None:
 def test_terrain_in_feet_or_metres() -> None:
     metric, _ = metric_crs(NEW_YORK_FEET, None, "a.laz")
     terrain = Terrain(np.array([[100.0]], np.float32), 1000.0, 2000.0, 10.0)
+    assert metric.unstated_m(NEW_YORK_FEET) == pytest.approx(FOOT) and metric.unstated_m(NEW_YORK) == 1.0
     scaled = metric.terrain(terrain, NEW_YORK_FEET, "t.tif")
     assert (scaled.x_min_m, scaled.y_max_m, scaled.cell_m) == pytest.approx(
         (1000 * FOOT, 2000 * FOOT, 10 * FOOT)
     )
-    assert scaled.height_m[0, 0] == pytest.approx(100 * FOOT)
+    assert scaled.height_m is terrain.height_m
     assert metric.terrain(terrain, NEW_YORK, "t.tif") is terrain
-    with pytest.raises(InputError, match=r"t\.tif: is in RGF93"):
-        metric.terrain(terrain, LAMBERT, "t.tif")
+
+
+def test_terrain_in_another_crs_is_reprojected(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    metric, _ = metric_crs(MERCATOR, (261_000, 6_250_000, 261_200, 6_250_200), "a.laz")
+    row, column = np.mgrid[:100, :100]
+    # a plane that rises by 1 in 10 to the north-east, in cells of 10 m, which are 6.6 m on the ground
+    sloping = Terrain((50.0 + (column - row)).astype(np.float32), 260_600.0, 6_250_600.0, 10.0)
+    there = metric.terrain(sloping, MERCATOR, "t.tif")
+    assert there.cell_m == pytest.approx(6.57, abs=0.05) and "t.tif: reprojected from WGS 84" in caplog.text
+    x, y = np.random.default_rng(0).uniform(-300, 300, (2, 50))
+    to_utm = pyproj.Transformer.from_crs(MERCATOR, metric.crs, always_xy=True).transform
+    height_m = there.interpolated(*to_utm(261_100 + x, 6_250_100 + y))
+    assert height_m == pytest.approx(50 + (x + y) / 10, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("code", "place", "zone"),
+    [
+        ("EPSG:3857", (2.35, 48.85), 32631),
+        ("EPSG:6933", (2.35, 48.85), 32631),
+        ("ESRI:54009", (-3.7, 40.4), 32630),
+        ("EPSG:2154", (-60.0, 10.0), 32620),
+        ("EPSG:2263", (-118.0, 55.0), 32611),
+    ],
+)
+def test_where_lengths_are_not_those_on_the_ground_work_is_in_utm(
+    code: str, place: tuple[float, float], zone: int
+) -> None:
+    crs = pyproj.CRS(code)
+    x, y = pyproj.Transformer.from_crs(WGS84, crs, always_xy=True).transform(*place)
+    metric, note = metric_crs(crs, (x, y, x + 50, y + 50), "a.laz")
+    assert metric.crs.to_epsg() == zone and "a metre on the ground" in str(note)
+    # a square of 10 m on the ground, by geodesics
+    east = pyproj.Geod(ellps="GRS80").fwd(*place, 90, 10)[:2]
+    there = pyproj.Transformer.from_crs(WGS84, crs, always_xy=True).transform(*east)
+    points = cloud(crs, (x, y, 1), (*there, 1)).in_metres(metric)
+    assert np.hypot(np.diff(points.x_m), np.diff(points.y_m))[0] == pytest.approx(10, rel=0.002)
+
+
+def test_national_grids_stay_to_their_borders() -> None:
+    for code, place in (
+        ("2154", (9.2, 41.5)),
+        ("28992", (7.1, 53.0)),
+        ("2056", (10.4, 46.6)),
+        ("3035", (2.3, 48.9)),
+    ):
+        crs = pyproj.CRS.from_epsg(int(code))
+        x, y = pyproj.Transformer.from_crs(WGS84, crs, always_xy=True).transform(*place)
+        metric, note = metric_crs(crs, (x, y, x + 50, y + 50), "a.laz")
+        assert metric.is_source and note is None
+
+
+def test_the_unit_of_heights_that_the_user_states_counts() -> None:
+    metric, note = metric_crs(pyproj.CRS("EPSG:2154+5720"), None, "a.laz", 0.3048)
+    assert metric.vertical_m == 0.3048 and "0.3048 m for heights" in str(note)
+    assert metric_crs(pyproj.CRS("EPSG:26910+6360"), None, "a.laz", 1.0)[0].is_source
+
+
+def test_the_crs_that_the_user_states_overrides_the_file(caplog: pytest.LogCaptureFixture) -> None:
+    assert common_crs(WGS84, None, "EPSG:2154", ("a.laz", "")) == (LAMBERT, None)
+    assert "a.laz states that it is in WGS 84; --crs overrides that: RGF93" in caplog.text
+    # heights of a file in the same plane stay, unless the user states others
+    stated = pyproj.CRS("EPSG:2154+5720")
+    assert common_crs(stated, None, "EPSG:2154", ("a.laz", ""))[0] == stated
+    in_feet = pyproj.CRS("EPSG:2154+8228")
+    assert common_crs(stated, None, "EPSG:2154+8228", ("a.laz", ""))[0] == in_feet
 
 
 def test_clouds_in_degrees_get_a_zone_of_utm() -> None:
@@ -106,6 +173,8 @@ def test_clouds_in_degrees_get_a_zone_of_utm() -> None:
 
 
 def test_what_cannot_be_transformed_is_refused() -> None:
+    with pytest.raises(InputError, match="in degrees, and has no points"):
+        metric_crs(WGS84, None, "a.laz")
     with pytest.raises(InputError, match="cannot be transformed to one in metres"):
         metric_crs(pyproj.CRS.from_epsg(4978), None, "a.laz")
     shapes = np.array([shapely.box(700_000, 6_600_000, 700_010, 6_600_010)])

@@ -2,13 +2,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import control_houses as houses
 import numpy as np
 import pytest
 import rasterio
 from rasterio.transform import Affine, from_origin
 from scipy.interpolate import RegularGridInterpolator
 
-from p2wss.data.terrain import Terrain, read_terrain, write_terrain
+from p2wss.data.terrain import Terrain, read_terrain, without_impossible, write_terrain
 from p2wss.storage.errors import InputError
 
 
@@ -85,3 +86,73 @@ def test_not_a_raster(tmp_path: Path) -> None:
     (tmp_path / "t.tif").write_text("<html>")
     with pytest.raises(InputError, match=r"t\.tif: not a readable raster"):
         read_terrain(tmp_path / "t.tif")
+
+
+FEET = {"ft": 0.3048, "US survey foot": 1200 / 3937, "cm": 0.01, "Metre": 1.0}
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1.0, 0.0), (0.01, 0.0), (0.1, 200.0), (-1.0, 300.0)])
+@pytest.mark.parametrize("unit", [None, *FEET])
+@pytest.mark.parametrize("dtype", ["float32", "float64", "int32"])
+def test_scale_offset_and_unit_of_a_band(
+    tmp_path: Path, scale: float, offset: float, unit: str | None, dtype: str
+) -> None:
+    length_m = FEET.get(str(unit), 1.0)
+    values = (houses.heights_m() / length_m - offset) / scale
+    stored = np.round(values).astype(dtype) if dtype == "int32" else values.astype(dtype)
+    path = houses.write_terrain(tmp_path / "t.tif", stored, scale=scale, offset=offset, unit=unit)
+    read, _ = read_terrain(path)
+    rounding_m = abs(scale) * length_m / 2 if dtype == "int32" else 1e-4
+    np.testing.assert_allclose(read.height_m, houses.heights_m(), atol=rounding_m + 1e-4)
+
+
+def test_heights_in_the_unit_of_the_vertical_crs(tmp_path: Path) -> None:
+    values = (houses.heights_m() / houses.SURVEY_FOOT_M).astype(np.float32)
+    path = houses.write_terrain(tmp_path / "t.tif", values, "EPSG:26910", "EPSG:26910+6360")
+    np.testing.assert_allclose(read_terrain(path)[0].height_m, houses.heights_m(), atol=1e-3)
+    # what the user states counts more
+    np.testing.assert_allclose(read_terrain(path, unit="m")[0].height_m, values)
+
+
+def test_an_unknown_unit_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = houses.write_terrain(tmp_path / "t.tif", houses.heights_m().astype(np.float32), unit="vara")
+    read_terrain(path)
+    assert "its heights are in vara, an unknown unit (--terrain-unit" in caplog.text
+
+
+@pytest.mark.parametrize("fill", [-9999, -32767, 3.4028234663852886e38, -3.4e38, 99999, np.inf, 0, -100])
+def test_cells_that_cannot_be_ground_are_holes(
+    tmp_path: Path, fill: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    values = (houses.heights_m() + 100).astype(np.float32)
+    values[:, :23] = fill
+    read, _ = read_terrain(houses.write_terrain(tmp_path / "t.tif", values))
+    assert np.isnan(read.height_m[:, :23]).all()
+    np.testing.assert_array_equal(read.height_m[:, 23:], values[:, 23:])
+    assert caplog.text.count("no ground is at the heights of 1380 of its cells") == 1
+
+
+def test_an_asc_without_nodata_value(tmp_path: Path) -> None:
+    rows = "\n".join("-9999 " + "250.0 " * 4 for _ in range(5))
+    (tmp_path / "t.asc").write_text(f"ncols 5\nnrows 5\nxllcorner 0\nyllcorner 0\ncellsize 1\n{rows}\n")
+    read, _ = read_terrain(tmp_path / "t.asc", "EPSG:2154")
+    np.testing.assert_array_equal(read.height_m, [[np.nan, 250, 250, 250, 250]] * 5)
+
+
+def test_cliffs_towers_and_the_sea_stay() -> None:
+    heights = np.full((40, 40), 300.0, np.float32) + np.random.default_rng(0).normal(0, 1, (40, 40))
+    heights[20:] -= 250  # a cliff
+    heights[30:] = 0.0  # the sea
+    heights[5, 5] = -80.0  # a pit of one cell is no ground
+    cleaned = without_impossible(Terrain(heights.astype(np.float32), 0, 40, 1), "t")
+    assert np.argwhere(np.isnan(cleaned.height_m)).tolist() == [[5, 5]]
+
+
+def test_a_point_raster_is_where_its_points_are(tmp_path: Path) -> None:
+    """A cell of a raster of points is around its point: GDAL moves the corner by half a cell."""
+    values = houses.heights_m().astype(np.float32)
+    path = houses.write_terrain(tmp_path / "t.tif", values)
+    with rasterio.open(path, "r+") as raster:
+        raster.update_tags(AREA_OR_POINT="Point")
+    read, _ = read_terrain(path)
+    assert (read.x_min_m, read.y_max_m) == (652_000 - 60, 6_862_000 + 60)

@@ -97,6 +97,11 @@ def test_a_file_of_all_kinds_of_geometries_has_a_row_for_each(tmp_path: Path, ro
     path = tmp_path / "f.csv"
     path.write_text("name,WKT\n" + "".join(f'B{i},"{text}"\n' for i, text in enumerate(rows)))
     frame = read_footprints(path, "name", needs_crs=False)
+    # each at its own place
+    frame.geometry = [
+        shape and shapely.transform(shape, lambda xy, k=k: xy + np.array([100.0 * k, 0.0]))
+        for k, shape in enumerate(frame.geometry)
+    ]
     result = clean_footprints(frame, Scenes(snap_m=0, simplify_m=0))
     assert list(result["building_id"]) == [f"B{i}" for i in range(len(rows))]
     for text, status, shape in zip(rows, result["status"], result.geometry, strict=True):

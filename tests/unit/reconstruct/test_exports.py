@@ -10,7 +10,6 @@ import cityjson_rules
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyproj
 import pytest
 import shapely
 import sionna_scene
@@ -19,7 +18,6 @@ from toy_clouds import LAMBERT, cleaned, cloud_over
 
 from p2wss.cli import inspection
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
-from p2wss.data.crs import MetricCrs
 from p2wss.data.terrain import Terrain
 from p2wss.reconstruct import block_skins, exports
 from p2wss.reconstruct.pipeline import run
@@ -233,8 +231,6 @@ def test_terrain_of_another_place_is_refused(results: list[Result], tmp_path: Pa
     with pytest.raises(InputError, match="no height around the buildings"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(), away)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match=r"dtm\.tif: is in Amersfoort / RD New, but the clouds are in RGF93"):
-        MetricCrs(LAMBERT, LAMBERT).terrain(away, pyproj.CRS.from_epsg(28992), Path("dtm.tif"))
     other = Terrain(np.full((99, 200), 50, np.float32), X - 80, Y + 50, 1.0)
     assert "+48.0 m" in (exports.terrain_note(results, other) or "")
     same = Terrain(np.full((99, 200), 2, np.float32), X - 80, Y + 50, 1.0)

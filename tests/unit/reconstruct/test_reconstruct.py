@@ -58,7 +58,7 @@ def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
 )
 def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, message: str) -> None:
     with pytest.raises(InputError) as error:
-        common_crs(cloud, frame, stated, NAMES)  # type: ignore[arg-type]
+        common_crs(cloud, frame, stated, NAMES, (652_000, 6_862_000, 652_100, 6_862_100))  # type: ignore[arg-type]
     assert message in str(error.value) and "\n" not in str(error.value)
 
 

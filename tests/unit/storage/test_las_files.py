@@ -11,7 +11,7 @@ from laspy.vlrs.geotiff import GeoKeyEntryStruct
 from laspy.vlrs.known import GeoKeyDirectoryVlr
 
 from p2wss.clouds.reading import read_headers
-from p2wss.storage.las_files import crs_of
+from p2wss.storage.las_crs import crs_of
 
 UNKNOWN = 1132
 

@@ -1,0 +1,132 @@
+"""One building once: footprints that are there twice, lie in others, or are the outline of parts."""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from p2wss.data import reasons
+from p2wss.storage.features import Features
+
+log = logging.getLogger(__name__)
+
+# column with the ids of those that a footprint overlaps, if there are any
+COLUMN = "overlapping_ids"
+# a narrower overlap is that of neighbours, and is divided as their wall is (p2wss.footprints.coverage)
+_NARROW_M = 0.5
+# a footprint is in another if that covers such a share of it; parts make an outline if they cover such a share of it
+_WITHIN_SHARE, _PARTS_SHARE = 0.9, 0.9
+# one of which others cover more is not built; the rest of one of which they cover less is, where it is so wide
+_COVERED_SHARE, _REST_WIDTH_M = 2 / 3, 2.0
+_NUM_NAMED = 3
+
+
+def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
+    """(the footprints, so that each place belongs to one only; those in whose place others are not built, bool (n,)).
+
+    features: as :func:`p2wss.footprints.cleaning.split_parts` returns them. An outline whose parts cover it gives way
+    to them, and they get the height that it states if they state none. Otherwise the larger one stays as it is, and of
+    the smaller one what is outside it; if that is little, it has a status, :data:`~p2wss.data.reasons.DUPLICATE` or
+    :data:`~p2wss.data.reasons.WITHIN_OTHER`, and no polygon. The column ``overlapping_ids`` then names the others.
+
+    The result of a footprint depends on those that it overlaps directly or by others, not on the order of the rows.
+    """
+    status, shapes = features["status"].copy(), features.geometry.copy()
+    ids = features["building_id"].tolist()
+    pairs, common_m2 = _wide_overlaps(shapes, status == reasons.OK)
+    is_covering = np.zeros(len(ids), bool)
+    if not len(pairs):
+        return features, is_covering
+    area_m2 = shapely.area(shapes)
+    beside: defaultdict[int, dict[int, float]] = defaultdict(dict)
+    for (a, b), common in zip(pairs.tolist(), common_m2.tolist(), strict=True):
+        beside[a][b] = beside[b][a] = common
+    others = np.full(len(ids), None, object)
+    height_m = features.columns.get("stated_height_m", np.full(len(ids), np.nan)).copy()
+    bounds = shapely.bounds(shapes)
+    ascending = sorted(beside, key=lambda k: (area_m2[k], *bounds[k], ids[k]))
+    for k in ascending:
+        parts = _parts(k, beside[k], shapes, area_m2, status)
+        if parts:
+            status[k] = reasons.HAS_PARTS
+            is_covering[parts] = True
+            height_m[parts] = np.where(np.isnan(height_m[parts]), height_m[k], height_m[parts])
+            others[k] = " ".join(sorted(ids[part] for part in parts))
+    done: set[int] = set()
+    for k in reversed(ascending):
+        if status[k] != reasons.OK:
+            continue
+        over = [other for other in beside[k] if other in done]
+        done.add(k)
+        if not over:
+            continue
+        others[k] = " ".join(sorted(ids[other] for other in over))
+        rest = shapely.difference(shapes[k], shapely.union_all(shapes[over]))
+        wide = rest.buffer(-_REST_WIDTH_M / 2, join_style="mitre").buffer(
+            _REST_WIDTH_M / 2, join_style="mitre"
+        )
+        pieces = shapely.get_parts(shapely.intersection(wide, rest))
+        is_polygon = shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON
+        pieces = pieces[is_polygon & ~shapely.is_empty(pieces)]
+        if rest.area < (1 - _COVERED_SHARE) * area_m2[k] or not len(pieces):
+            is_same = any(beside[k][each] > _COVERED_SHARE * area_m2[each] for each in over)
+            status[k] = reasons.DUPLICATE if is_same else reasons.WITHIN_OTHER
+            is_covering[over] = True
+            done.discard(k)
+        else:
+            shapes[k] = max(pieces, key=shapely.area)
+    shapes[status != reasons.OK] = shapely.Polygon()
+    columns = {"status": status, "stated_height_m": height_m, COLUMN: others}
+    return replace(features.having(**columns), geometry=shapes), is_covering
+
+
+def _wide_overlaps(shapes: np.ndarray, is_usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(pairs of footprints that overlap by more than neighbours do, (n, 2); the area that each has in common)."""
+    row = np.flatnonzero(is_usable)
+    first, second = shapely.STRtree(shapes[row]).query(shapes[row], predicate="intersects")
+    pairs = row[np.column_stack([first, second])[first < second]]
+    common = shapely.intersection(shapes[pairs[:, 0]], shapes[pairs[:, 1]])
+    large = np.flatnonzero(shapely.area(common) > _NARROW_M**2 / 2)
+    wide = large[~shapely.is_empty(shapely.buffer(common[large], -_NARROW_M / 2))]
+    return pairs[wide], shapely.area(common[wide])
+
+
+def _parts(
+    outline: int, beside: dict[int, float], shapes: np.ndarray, area_m2: np.ndarray, status: np.ndarray
+) -> list[int]:
+    """The footprints that are in an outline, if they cover it and no two of them the same place; else none."""
+    parts = [
+        each
+        for each, common in beside.items()
+        if status[each] == reasons.OK
+        and common > _WITHIN_SHARE * area_m2[each]
+        and area_m2[each] < _WITHIN_SHARE * area_m2[outline]
+    ]
+    together_m2 = shapely.union_all(shapes[parts]).intersection(shapes[outline]).area
+    is_covered = together_m2 > _PARTS_SHARE * area_m2[outline]
+    is_once = area_m2[parts].sum() < together_m2 / _PARTS_SHARE
+    return parts if len(parts) > 1 and is_covered and is_once else []
+
+
+def tell(features: Features) -> None:
+    """Say how many footprints are not built, or only in part, for each reason."""
+    if COLUMN not in features.columns:
+        return
+    ids, status, others = features["building_id"].tolist(), features["status"], features[COLUMN]
+    texts = {
+        reasons.HAS_PARTS: "gave way to their parts",
+        reasons.DUPLICATE: "are there twice, and are built once",
+        reasons.WITHIN_OTHER: "are within others, and are not built",
+        reasons.OK: "overlap larger ones, and are built without the overlap",
+    }
+    for reason, text in texts.items():
+        rows = [k for k in range(len(ids)) if status[k] == reason and others[k] is not None]
+        if rows:
+            names = ", ".join(ids[k] for k in rows[:_NUM_NAMED]) + ", .." * (len(rows) > _NUM_NAMED)
+            level = logging.INFO if reason == reasons.HAS_PARTS else logging.WARNING
+            prefix = "note" if reason == reasons.HAS_PARTS else "warning"
+            log.log(level, "%s: footprints that %s: %d (%s)", prefix, text, len(rows), names)

@@ -1,0 +1,215 @@
+"""What a LAS header states of its CRS and of the unit of its heights: in WKT, in GeoTIFF keys, or partly in each.
+
+laspy reads the first record that it knows, and of GeoTIFF keys the horizontal CRS only. The rest is read here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import laspy
+import numpy as np
+import pyproj
+
+from p2wss.storage.log_lines import log
+
+# name of a vertical CRS of which only the unit is known
+UNKNOWN = "unknown height"
+# GeoTIFF keys
+_GEOGRAPHIC_CRS, _PROJECTED_CRS, _LINEAR_UNIT, _VERTICAL_CRS, _VERTICAL_UNIT = 2048, 3072, 3076, 4096, 4099
+# of GeoTIFF 1.0: its codes of vertical CRSs, and EPSG's of the same
+_OLD_VERTICAL = {5101: 5701, 5102: 7968, 5103: 5703, 5104: 5704, 5105: 5705}
+_VERTICAL_WKT = re.compile(r"\b(VERT_CS|VERTCS|VERTCRS|VERTICALCRS)\s*\[", re.IGNORECASE)
+# a CRS reaches this far beyond its area of use
+_MARGIN_DEG = 2.0
+
+
+@dataclass(frozen=True)
+class Stated:
+    """crs: of the plane, and of heights if they are stated; None if there is none that PROJ knows. heights: vertical
+    CRS of the heights, stated with a CRS or without. doubts: what is not used or contradicts itself, a line each."""
+
+    crs: pyproj.CRS | None
+    heights: pyproj.CRS | None
+    doubts: tuple[str, ...]
+
+
+def stated_crs(header: laspy.LasHeader) -> Stated:
+    """All that a header states, with what was chosen where two statements contradict each other."""
+    doubts: list[str] = []
+    records = [*header.vlrs, *(header.evlrs or [])]
+    of_wkt = next(_of_wkt(records, doubts), None)
+    of_keys, heights = None, None
+    for record in records:
+        if isinstance(record, laspy.vlrs.known.GeoKeyDirectoryVlr):
+            keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
+            of_keys = _of_keys(keys, header, doubts)
+            heights = _heights(keys, doubts)
+    crs = of_wkt or of_keys
+    if of_wkt is not None and of_keys is not None and not _same_plane(of_wkt, of_keys):
+        crs = _one_of((of_wkt, of_keys), header)
+        doubts.append(
+            f"WKT states {of_wkt.name}, GeoTIFF keys {of_keys.name}; {crs.name} is taken, in which its bounds are"
+            " plausible"
+        )
+    if of_wkt is not None and (vertical := vertical_part(of_wkt)) is not None:
+        if heights is not None and unit_m(heights) != unit_m(vertical):
+            doubts.append(
+                f"WKT states heights in units of {unit_m(vertical):.10g} m, GeoTIFF keys of {unit_m(heights):.10g} m;"
+                " the former is taken (--height-unit overrides)"
+            )
+        heights = vertical
+    if crs is not None and heights is not None:
+        crs = with_heights(crs, heights)
+    return Stated(crs, heights, tuple(doubts))
+
+
+def crs_of(header: laspy.LasHeader) -> pyproj.CRS | None:
+    """The CRS that a header states, with a warning for each doubt."""
+    stated = stated_crs(header)
+    for doubt in stated.doubts:
+        log.warning("warning: a cloud: %s", doubt)
+    return stated.crs
+
+
+def vertical_part(crs: pyproj.CRS) -> pyproj.CRS | None:
+    """The vertical CRS of a compound one; of heights above an ellipsoid one without a name; None without heights."""
+    if crs.is_compound:
+        return crs.sub_crs_list[1]
+    return _in_unit(crs.axis_info[2].unit_conversion_factor) if len(crs.axis_info) == 3 else None
+
+
+def unit_m(crs: pyproj.CRS) -> float:
+    """Length of the unit of a vertical CRS."""
+    return float(crs.axis_info[0].unit_conversion_factor)
+
+
+def with_heights(crs: pyproj.CRS, heights: pyproj.CRS) -> pyproj.CRS:
+    """The compound of a plane and of heights; as it is if it has heights, or if theirs only have a unit, metres."""
+    if crs.is_compound or len(crs.axis_info) == 3 or (heights.name == UNKNOWN and unit_m(heights) == 1.0):
+        return crs
+    return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
+
+
+def in_unit(crs: pyproj.CRS, length_m: float) -> pyproj.CRS:
+    """The same CRS with axes of another unit; lengths among its parameters have their own."""
+    stated = crs.to_json_dict()
+    for axis in stated["coordinate_system"]["axis"]:
+        axis["unit"] = {"type": "LinearUnit", "name": f"{length_m:.10g} m", "conversion_factor": length_m}
+    stated.pop("id", None)
+    return pyproj.CRS.from_json_dict(stated)
+
+
+def _of_wkt(records: Iterable[laspy.vlrs.vlr.BaseVLR], doubts: list[str]) -> Iterator[pyproj.CRS]:
+    for record in records:
+        if not isinstance(record, laspy.vlrs.known.WktCoordinateSystemVlr) or not record.string:
+            continue
+        try:
+            crs = pyproj.CRS.from_wkt(record.string)
+        except pyproj.exceptions.CRSError as error:
+            doubts.append(f"its WKT is not used: {error}")
+            continue
+        # PROJ reads no further than to the end of the first CRS
+        beside = _VERTICAL_WKT.search(record.string)
+        if vertical_part(crs) is None and beside is not None:
+            try:
+                crs = with_heights(crs, pyproj.CRS.from_wkt(_balanced(record.string[beside.start() :])))
+            except pyproj.exceptions.CRSError as error:
+                doubts.append(f"the heights in its WKT are not used: {error}")
+        yield crs
+
+
+def _balanced(wkt: str) -> str:
+    """The first element of a WKT, to the bracket that closes it."""
+    depth = np.cumsum([(each == "[") - (each == "]") for each in wkt])
+    ends = np.flatnonzero((depth == 0) & (np.array(list(wkt)) == "]"))
+    return wkt[: ends[0] + 1] if len(ends) else wkt
+
+
+def _of_keys(keys: dict[int, int], header: laspy.LasHeader, doubts: list[str]) -> pyproj.CRS | None:
+    """The CRS of the plane. Some clouds have an unknown geographic CRS beside their projected one, which alone
+    counts."""
+    code = keys.get(_PROJECTED_CRS) or keys.get(_GEOGRAPHIC_CRS)
+    if not code or not 1024 <= code <= 32766:
+        return None
+    try:
+        crs = pyproj.CRS.from_epsg(code)
+    except pyproj.exceptions.CRSError as error:
+        doubts.append(f"its GeoTIFF keys are not used: {error}")
+        return None
+    length_m = _units().get(keys.get(_LINEAR_UNIT, 0))
+    own_m = crs.axis_info[0].unit_conversion_factor
+    if not crs.is_projected or length_m is None or np.isclose(length_m, own_m, rtol=1e-9):
+        return crs
+    other = in_unit(crs, length_m)
+    chosen = _one_of((crs, other), header)
+    doubts.append(
+        f"it is in {crs.name}, with units of {own_m:.10g} m, but states units of {length_m:.10g} m; those of"
+        f" {chosen.axis_info[0].unit_conversion_factor:.10g} m are taken, in which its bounds are plausible"
+    )
+    return chosen
+
+
+def _heights(keys: dict[int, int], doubts: list[str]) -> pyproj.CRS | None:
+    code, length_m = keys.get(_VERTICAL_CRS, 0), _units().get(keys.get(_VERTICAL_UNIT, 0))
+    heights = None
+    if 1024 <= code <= 32766:
+        try:
+            heights = pyproj.CRS.from_epsg(_OLD_VERTICAL.get(code, code))
+        except pyproj.exceptions.CRSError:
+            heights = None  # of an ellipsoid, in old files
+    if heights is not None and not heights.is_vertical:
+        heights = None
+    if length_m is None:
+        return heights
+    if heights is None:
+        return _in_unit(length_m)
+    if not np.isclose(length_m, unit_m(heights), rtol=1e-9):
+        doubts.append(
+            f"it states heights of {heights.name}, in units of {unit_m(heights):.10g} m, but also units of"
+            f" {length_m:.10g} m; the latter are taken (--height-unit overrides)"
+        )
+        heights = in_unit(heights, length_m)
+    return heights
+
+
+def _in_unit(length_m: float) -> pyproj.CRS:
+    unit = f'LENGTHUNIT["{length_m:.10g} m",{length_m!r}]'
+    return pyproj.CRS.from_wkt(
+        f'VERTCRS["{UNKNOWN}",VDATUM["unknown"],CS[vertical,1],AXIS["height",up],{unit}]'
+    )
+
+
+@cache
+def _units() -> dict[int, float]:
+    """Lengths of EPSG's units by their codes, metres."""
+    units = pyproj.database.get_units_map(auth_name="EPSG", category="linear", allow_deprecated=True)
+    return {int(unit.code): float(unit.conv_factor) for unit in units.values() if unit.code.isdigit()}
+
+
+def _same_plane(first: pyproj.CRS, second: pyproj.CRS) -> bool:
+    a, b = (crs.sub_crs_list[0] if crs.is_compound else crs.to_2d() for crs in (first, second))
+    codes = a.to_epsg(min_confidence=25), b.to_epsg(min_confidence=25)
+    if a.axis_info[0].unit_conversion_factor != b.axis_info[0].unit_conversion_factor:
+        return False
+    return a.equals(b, ignore_axis_order=True) or (codes[0] is not None and codes[0] == codes[1])
+
+
+def _one_of(candidates: tuple[pyproj.CRS, pyproj.CRS], header: laspy.LasHeader) -> pyproj.CRS:
+    """The first in whose area of use the bounds of a header are; the first of all if that holds for none."""
+    centre = (header.mins[:2] + header.maxs[:2]) / 2
+    return next((crs for crs in candidates if is_plausible(crs, centre)), candidates[0])
+
+
+def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:
+    """Whether a place, x and y, is in the area of use of a CRS, or near it."""
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+    to_degrees = pyproj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
+    x, y = to_degrees.transform(*centre) if flat.is_projected else centre
+    area = flat.area_of_use
+    west, south, east, north = (-180, -90, 180, 90) if area is None else area.bounds
+    is_within = west - _MARGIN_DEG <= x <= east + _MARGIN_DEG or (west > east and (x >= west or x <= east))
+    return bool(np.isfinite([x, y]).all() and is_within and south - _MARGIN_DEG <= y <= north + _MARGIN_DEG)

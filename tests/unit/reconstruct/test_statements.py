@@ -1,0 +1,205 @@
+"""The control houses from files that state their CRS and units in many ways: right, or refused in one line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import control_houses as houses
+import numpy as np
+import pytest
+import shapely
+from places import SHARED
+
+import p2wss
+from p2wss.storage.errors import InputError
+
+CASES = SHARED / "data" / "cases"
+needs_cases = pytest.mark.skipif(not CASES.is_dir(), reason="no shared/data/cases")
+UTM, FOOT = "EPSG:26910", houses.FOOT_M
+
+
+def built(cloud: Any, footprints: Any, **options: Any) -> dict[str, tuple[float, float]]:
+    """Volume and eave height of each building that has a mesh."""
+    options.setdefault("config", {"reconstruct": {"registration": "never"}})
+    with p2wss.reconstruct(cloud, footprints, progress=False, model="none", **options) as scene:
+        return {
+            name: (float(each.mesh.volume), each.attributes["eave_height_m"])
+            for name, each in scene.items()
+            if each.solid is not None
+        }
+
+
+def assert_right(result: dict[str, tuple[float, float]]) -> None:
+    assert set(result) == {"gable", "flat"}
+    for name, (volume_m3, eave_m) in result.items():
+        assert volume_m3 == pytest.approx(houses.VOLUME_M3[name], rel=0.015)
+        assert eave_m == pytest.approx({"gable": houses.EAVE_M, "flat": houses.FLAT_M}[name], abs=0.1)
+
+
+@needs_cases
+@pytest.mark.parametrize(
+    ("cloud", "footprints"),
+    [
+        ("vertical_units_geokeys/utm_metres_z_usft.laz", "vertical_units_geokeys/f26910.gpkg"),
+        ("vertical_units_geokeys/wkt_horizontal_geokeys_z_usft.laz", "vertical_units_geokeys/f26910.gpkg"),
+        ("web_mercator_cloud/webmerc.laz", "web_mercator_cloud/f2154.gpkg"),
+    ],
+)
+def test_reported_clouds(cloud: str, footprints: str) -> None:
+    assert_right(built(CASES / cloud, CASES / footprints))
+
+
+@needs_cases
+def test_a_reported_cloud_that_states_another_crs() -> None:
+    folder = CASES / "cloud_states_wrong_crs"
+    files = folder / "utm_but_says_4326.laz", folder / "f26910.gpkg"
+    with pytest.raises(InputError, match="in degrees, but its bounds are not; state its CRS with --crs"):
+        built(*files)
+    assert_right(built(*files, crs=UTM))
+
+
+@needs_cases
+@pytest.mark.parametrize("name", ["undeclared_-9999", "int16_scale_0.01", "heights_ft_band_unit"])
+def test_reported_terrains(name: str, tmp_path: Path) -> None:
+    folder = CASES / "terrain"
+    files = folder / "c.laz", folder / "f.gpkg"
+    with p2wss.reconstruct(*files, terrain=folder / f"{name}.tif", progress=False) as scene:
+        scene.write(tmp_path, ["ply"])
+    import trimesh
+
+    block = trimesh.load_mesh(tmp_path / "c.ply")
+    low, high = block.bounds[:, 2]
+    # the terrain is level; its block reaches 2 m below the ground, and the ridge is 8.36 m above it
+    assert 10 < high - low < 11.5
+
+
+@needs_cases
+def test_a_reported_outline_and_its_parts() -> None:
+    folder = CASES / "outline_and_parts"
+    result = built(folder / "c.laz", folder / "parts.geojson")
+    assert set(result) == {"way/2", "way/3", "way/9"}
+    assert sum(volume for volume, _ in result.values()) == pytest.approx(1241, rel=0.015)
+
+
+@needs_cases
+@pytest.mark.parametrize("name", ["f.geoparquet", "F2.PARQUET", "first_layer_points.gpkg"])
+def test_reported_files_of_footprints(name: str) -> None:
+    assert_right(built(CASES / "footprint_files" / "c.laz", CASES / "footprint_files" / name))
+
+
+@needs_cases
+def test_reported_ids_of_relations_and_ways() -> None:
+    folder = CASES / "footprint_files"
+    assert set(built(folder / "c.laz", folder / "osm_multipolygons.gpkg")) == {"5001", "77"}
+
+
+@needs_cases
+def test_a_reported_empty_shell_is_not_valid() -> None:
+    validity = p2wss.check(CASES / "check_empty_shell" / "no_shell_faces.city.json")
+    assert list(validity.invalid.values()) == [["301 the shell has fewer than four faces"]]
+
+
+def test_layers_endings_and_ids_of_ways(tmp_path: Path) -> None:
+    frame = houses.footprints(osm_id=[None, "77"], osm_way_id=["5001", None]).drop(columns="id")
+    points = frame.set_geometry(frame.geometry.centroid)
+    points.to_file(tmp_path / "f.gpkg", layer="addresses")
+    frame.to_file(tmp_path / "f.gpkg", layer="buildings")
+    cloud = houses.write_cloud(tmp_path / "c.laz")
+    assert set(built(cloud, tmp_path / "f.gpkg")) == {"5001", "77"}
+    frame.to_parquet(tmp_path / "F.GEOPARQUET")
+    (tmp_path / "F.GEOPARQUET").rename(tmp_path / "f.data")
+    assert set(built(cloud, tmp_path / "f.data")) == {"5001", "77"}
+
+
+def test_solids_without_faces_or_shells_are_not_valid(tmp_path: Path) -> None:
+    start = (
+        '{"type": "CityJSON", "version": "2.0", "transform": {"scale": [1, 1, 1], "translate": [0, 0, 0]},'
+    )
+    for boundaries in ("[[]]", "[]"):
+        geometry = f'[{{"type": "Solid", "lod": "2", "boundaries": {boundaries}}}]'
+        objects = f'{{"a": {{"type": "Building", "geometry": {geometry}}}}}'
+        (tmp_path / "a.json").write_text(f'{start} "CityObjects": {objects}, "vertices": []}}')
+        assert list(p2wss.check(tmp_path / "a.json").invalid) == ["a (LoD 2)"]
+
+
+@needs_cases
+def test_a_reported_footprint_that_is_too_small() -> None:
+    folder = CASES / "footprint_files"
+    with pytest.raises(InputError, match="none of its 1 footprints can be built: too-small: 1"):
+        built(folder / "c.laz", folder / "only_tiny.gpkg")
+
+
+def test_points_around_but_none_on_the_footprints(tmp_path: Path) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz")
+    beside = houses.footprints()
+    beside.geometry = [shapely.affinity.translate(shape, 60, 0) for shape in beside.geometry]
+    with pytest.raises(InputError, match="points around the 2 footprints of footprints, but none on them"):
+        built(cloud, beside)
+
+
+def test_degrees_without_an_extent_in_the_header(tmp_path: Path) -> None:
+    path = houses.write_cloud(tmp_path / "c.las", crs="EPSG:4326")
+    content = bytearray(path.read_bytes())
+    content[179:227] = bytes(48)  # maxima and minima
+    path.write_bytes(content)
+    assert_right(built(path, houses.footprints()))
+
+
+@pytest.mark.parametrize("factor", [FOOT, 1 / FOOT, 0.01, 100])
+def test_terrain_in_another_unit_is_named(tmp_path: Path, factor: float) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz")
+    values = (houses.heights_m() / factor).astype(np.float32)
+    terrain = houses.write_terrain(tmp_path / "t.tif", values)
+    if abs(factor - 0.01) < 1e-9:  # 10 km: no ground at all
+        with pytest.raises(InputError, match="has no height at any of the 2 footprints"):
+            built(cloud, houses.footprints(), terrain=terrain)
+        return
+    with pytest.raises(
+        InputError, match=r"t\.tif: its heights are .* from the ground of the points"
+    ) as error:
+        built(cloud, houses.footprints(), terrain=terrain)
+    text = str(error.value)
+    assert "\n" not in text
+    if factor == FOOT:
+        assert "as if they were in ft; state --terrain-unit ft" in text
+    # the remedies work
+    for unit in re.findall(r"--terrain-unit (\S+)", text):
+        config = {"reconstruct": {"terrain_unit": unit.strip(","), "registration": "never"}}
+        assert_right(built(cloud, houses.footprints(), terrain=terrain, config=config))
+
+
+def test_terrain_of_another_height_system_is_named(tmp_path: Path) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz")
+    terrain = houses.write_terrain(tmp_path / "t.tif", (houses.heights_m() + 46).astype(np.float32))
+    with pytest.raises(InputError, match=r"\+46\.0 m from the ground .* same height system"):
+        built(cloud, houses.footprints(), terrain=terrain)
+
+
+def test_unstated_feet_are_named_where_footprints_state_heights(tmp_path: Path) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=FOOT)
+    known = houses.footprints(UTM, height=[8.36, 6.0])
+    with pytest.raises(InputError, match="as if heights were in ft; state --height-unit ft"):
+        built(cloud, known)
+    for unit, is_right in (("ft", True), ("m", False)):
+        config = {"reconstruct": {"height_unit": unit, "registration": "never"}}
+        result = built(cloud, known, config=config)
+        assert (abs(result["flat"][1] - 6) < 0.1) == is_right
+
+
+def test_unstated_feet_are_doubted_where_houses_are_slender(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=FOOT)
+    built(cloud, houses.footprints(UTM))
+    assert "times as high as wide, as if heights were in ft; state --height-unit ft" in caplog.text
+    caplog.clear()
+    built(houses.write_cloud(tmp_path / "d.laz", UTM), houses.footprints(UTM))
+    assert not [record for record in caplog.records if record.levelname == "WARNING"]
+
+
+def test_a_cloud_and_a_terrain_in_mercator(tmp_path: Path) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", crs="EPSG:3857")
+    here = houses.write_terrain(tmp_path / "t.tif", houses.heights_m().astype(np.float32))
+    assert_right(built(cloud, houses.footprints(crs="EPSG:4326"), terrain=here))
