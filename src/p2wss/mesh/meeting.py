@@ -21,8 +21,10 @@ _RANK = 1e-2
 # changes of planes that move no vertex by more than the square root of this share of themselves are not made
 _NO_CHANGE = 1e-10
 _NUM_ROUNDS = 4
+# rotations after which a matrix of three rows is diagonal to the last bit
+_NUM_TURNS = 18
 # how many planes away from where planes do not meet others still move
-_NUM_RINGS = 3
+_NUM_RINGS = 2
 _GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
 # so many planes and places that depend on each other are solved for together
 _TOGETHER = 60
@@ -203,14 +205,51 @@ def _met(
     return point_m
 
 
+@entry
 def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(what the products of rows and distances, summed, are multiplied by for the way to where planes meet, (n, 3, 3);
-    the number of directions that they determine, (n,)). row: (k, 4), at ascending places ``at``."""
-    square = np.add.reduceat(row[:, :3, None] * row[:, None, :3], np.flatnonzero(np.diff(at, prepend=-1)))
-    length, axes = np.linalg.eigh(square)
-    is_long = length > _RANK**2 * length[:, 2:]
-    inverse = axes * (is_long / np.where(is_long, length, 1))[:, None] @ axes.transpose(0, 2, 1)
-    return inverse, is_long.sum(axis=1)
+    the number of directions that they determine, (n,)). row: (k, 4), at ascending places ``at``.
+
+    By rotations (Jacobi 1846) that make the matrix of each place diagonal.
+    """
+    num = 0
+    for k in range(len(at)):
+        num += k == 0 or at[k] != at[k - 1]
+    inverse, rank = np.zeros((num, 3, 3)), np.zeros(num, np.int64)
+    square, axes, begin = np.empty((3, 3)), np.empty((3, 3)), 0
+    for place in range(num):
+        square[:], axes[:] = 0.0, np.eye(3)
+        k = begin
+        while k < len(at) and at[k] == at[begin]:
+            for a in range(3):
+                for b in range(3):
+                    square[a, b] += row[k, a] * row[k, b]
+            k += 1
+        begin = k
+        for turn in range(_NUM_TURNS):
+            p, q = turn % 3, (turn + 1) % 3
+            if abs(square[p, q]) <= 1e-300:
+                continue
+            ratio = (square[q, q] - square[p, p]) / (2 * square[p, q])
+            tangent = (1.0 if ratio >= 0 else -1.0) / (abs(ratio) + np.sqrt(ratio * ratio + 1.0))
+            cosine = 1 / np.sqrt(tangent * tangent + 1.0)
+            sine = tangent * cosine
+            for a in range(3):
+                one, other = square[a, p], square[a, q]
+                square[a, p], square[a, q] = cosine * one - sine * other, sine * one + cosine * other
+            for a in range(3):
+                one, other = square[p, a], square[q, a]
+                square[p, a], square[q, a] = cosine * one - sine * other, sine * one + cosine * other
+                one, other = axes[a, p], axes[a, q]
+                axes[a, p], axes[a, q] = cosine * one - sine * other, sine * one + cosine * other
+        longest = max(square[0, 0], square[1, 1], square[2, 2])
+        for k in range(3):
+            if square[k, k] > _RANK * _RANK * longest:
+                rank[place] += 1
+                for a in range(3):
+                    for b in range(3):
+                        inverse[place, a, b] += axes[a, k] * axes[b, k] / square[k, k]
+    return inverse, rank
 
 
 @entry

@@ -37,7 +37,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     straight = _flipped(_with_straight_walls(mesh))
     each = np.arange(len(mesh.vertex_m))
     result: Mesh | None = _met(straight, each) or straight
-    # what is around edges that could not go
+    # planes at the ends of edges that could not go: with others there, they may
     kept = set()
     while result is not None:
         mesh, result = result, None
@@ -45,7 +45,9 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
         rows = np.flatnonzero(edge_m < short_m)
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
             end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-            around = mesh.vertex_m[mesh.triangle[np.isin(mesh.triangle, (end, gone)).any(axis=1)]].tobytes()
+            around = tuple(
+                np.unique(mesh.label[(mesh.triangle == each).any(axis=1)]).tobytes() for each in (end, gone)
+            )
             if around in kept or not _can_merge(mesh, end, gone):
                 continue
             each = np.arange(len(mesh.vertex_m))
