@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -206,6 +206,14 @@ def _passed(
                     num += 1
                 k += 1
     return segment[:num].copy(), number[:num].copy(), at[:num].copy(), off[:num].copy()
+
+
+def by_member(group: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Of groups (n, 2), such as the cells beside each side, a function from numbers to the groups that have one."""
+    member = group.ravel()
+    order = np.argsort(member, kind="stable")
+    begin = np.searchsorted(member[order], np.arange(member.max(initial=-1) + 2))
+    return lambda numbers: np.unique(np.concatenate([order[begin[k] : begin[k + 1]] for k in numbers]) // 2)
 
 
 @entry

@@ -74,6 +74,12 @@ class Costs:
         total_m3 = _total_m3(self.problem, self.prices, np.maximum(choice, 0))
         return float(total_m3) + FORBIDDEN_M3 * np.count_nonzero(choice < 0)
 
+    def change_m3(self, label: np.ndarray, cell: int, number: int) -> float:
+        """What it costs that a cell gets another plane, without the prices of faces and lines."""
+        return float(
+            _change_m3(self.problem, self.prices, np.asarray(label, np.int64), int(cell), int(number))
+        )
+
     def faces(self, label: np.ndarray) -> np.ndarray:
         """int (c,): numbers of the connected faces."""
         pair = self.problem.pair
@@ -361,6 +367,13 @@ def side_m3(problem: Problem, prices: PlanePrices, side: int, one: int, other: i
     return prices.edge_m2 * problem.length_m[side] * share + barred_m3
 
 
+@inner
+def beside(problem: Problem, way: int) -> int:
+    """The cell at the other hand of the side of a ``way``, an element of ``side_end``."""
+    num_sides = len(problem.pair)
+    return problem.pair[way, 1] if way < num_sides else problem.pair[way - num_sides, 0]
+
+
 @both
 def _choice_of(problem: Problem, label: np.ndarray) -> np.ndarray:
     """The candidates (c,) of planes over the cells, -1 for none."""
@@ -370,6 +383,22 @@ def _choice_of(problem: Problem, label: np.ndarray) -> np.ndarray:
             if problem.number[t] == label[cell]:
                 result[cell] = t
     return result
+
+
+@entry
+def _change_m3(problem: Problem, prices: PlanePrices, label: np.ndarray, cell: int, number: int) -> float:
+    """:meth:`Costs.change_m3`."""
+    old_m3 = new_m3 = FORBIDDEN_M3
+    for t in range(problem.first[cell], problem.first[cell + 1]):
+        if problem.number[t] == label[cell]:
+            old_m3 = problem.cell_m3[t]
+        if problem.number[t] == number:
+            new_m3 = problem.cell_m3[t]
+    for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
+        side, theirs = way % len(problem.pair), label[beside(problem, way)]
+        old_m3 += side_m3(problem, prices, side, label[cell], theirs)
+        new_m3 += side_m3(problem, prices, side, number, theirs)
+    return new_m3 - old_m3
 
 
 @entry

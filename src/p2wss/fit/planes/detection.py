@@ -33,6 +33,12 @@ def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.nd
     return np.asarray((plane[label, :2] * xy_m).sum(axis=1) + plane[label, 2])
 
 
+def rows_of(label: np.ndarray, num_planes: int) -> list[np.ndarray]:
+    """Of each plane the rows of its points, ascending. label: (m,), the plane of each point, -1 for none."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.searchsorted(label[order], np.arange(num_planes + 1)))[1:-1]
+
+
 def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     """Distances (m, k) of points (m, 3) from planes (k, 3), metres."""
     off_m = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])
@@ -284,8 +290,10 @@ def _settled(
                     near_m = _distance(plane[other], point_m[row]) if other >= 0 else settings.distance_m
                     if near_m < least_m:
                         least_m, label[row] = near_m, other
+        order = np.argsort(label, kind="mergesort")
+        begin = np.searchsorted(label[order], np.arange(len(plane) + 1))
         for number in range(len(plane) if turn < settings.num_turns - 1 else 0):
-            rows = np.flatnonzero(label == number)
+            rows = order[begin[number] : begin[number + 1]]
             if len(rows) > 2:
                 plane[number] = _fit(point_m, rows, len(rows), settings.noise_m)
     return plane, label
@@ -303,40 +311,56 @@ def _merged(
     """(planes, label) after planes side by side have become one, those that differ least first, without the planes of
     too few points."""
     num, label = len(plane), label.copy()
-    num_links, residual_m = np.zeros((num, num), np.int64), np.empty(num)
+    # the rows of each plane; of one that has become a part of another, none
+    order = np.argsort(label, kind="mergesort")
+    begin = np.searchsorted(label[order], np.arange(num + 1))
+    rows_of = [order[begin[i] : begin[i + 1]] for i in range(num)]
+    residual_m = np.array([mean_distance(plane[i], point_m, rows_of[i]) for i in range(num)])
+    link, num_links = np.empty(neighbour.size, np.int64), 0
     for row, number in enumerate(label):
         for other in label[neighbour[row]]:
-            if min(number, other) >= 0:
-                num_links[min(number, other), max(number, other)] += 1
-    for i in range(num):
-        residual_m[i] = mean_distance(plane[i], point_m, np.flatnonzero(label == i))
-    # how much further points are from one plane in place of two that touch in three pairs of points or more
-    worse_m, joint, is_new = np.full((num, num), np.inf), np.zeros((num, num, 3)), num_links >= 3
-    while True:
-        least_m, one, other = np.inf, 0, 0
-        for i in range(num):
-            for j in range(i + 1, num):
-                if is_new[i, j]:
-                    rows_i, rows_j = np.flatnonzero(label == i), np.flatnonzero(label == j)
-                    rows, is_new[i, j] = np.concatenate((rows_i, rows_j)), False
-                    joint[i, j] = _fit(point_m, rows, len(rows), settings.noise_m)
-                    worse_m[i, j] = max(
-                        mean_distance(joint[i, j], point_m, rows_i) - residual_m[i],
-                        mean_distance(joint[i, j], point_m, rows_j) - residual_m[j],
-                    )
-                if worse_m[i, j] < least_m:
-                    least_m, one, other = worse_m[i, j], i, j
-        if not least_m <= settings.simpler_m:
+            if min(number, other) >= 0 and number != other:
+                link[num_links] = min(number, other) * num + max(number, other)
+                num_links += 1
+    link = np.sort(link[:num_links])
+    # planes that touch in three pairs of points or more, and how much further points are from one plane in place of two
+    is_pair = np.zeros(num_links, np.bool_)
+    is_pair[: max(num_links - 2, 0)] = link[: max(num_links - 2, 0)] == link[2:]
+    pair = np.unique(link[is_pair])
+    worse_m, joint, is_new = (
+        np.full(len(pair), np.inf),
+        np.zeros((len(pair), 3)),
+        np.ones(len(pair), np.bool_),
+    )
+    while len(pair):
+        for k in np.flatnonzero(is_new):
+            i, j = pair[k] // num, pair[k] % num
+            rows = np.concatenate((rows_of[i], rows_of[j]))
+            joint[k], is_new[k] = _fit(point_m, rows, len(rows), settings.noise_m), False
+            worse_m[k] = max(
+                mean_distance(joint[k], point_m, rows_of[i]) - residual_m[i],
+                mean_distance(joint[k], point_m, rows_of[j]) - residual_m[j],
+            )
+        best = worse_m.argmin()
+        if not worse_m[best] <= settings.simpler_m:
             break
-        label[label == other], worse_m[one, other] = one, np.inf
-        residual_m[one] = mean_distance(joint[one, other], point_m, np.flatnonzero(label == one))
-        for i in range(num):
-            for k in (one, other):
-                if worse_m[min(i, k), max(i, k)] < np.inf:
-                    worse_m[min(i, k), max(i, k)], is_new[min(i, one), max(i, one)] = np.inf, True
+        one, other = pair[best] // num, pair[best] % num
+        label[rows_of[other]], worse_m[best] = one, np.inf
+        rows_of[one], rows_of[other] = (
+            np.sort(np.concatenate((rows_of[one], rows_of[other]))),
+            rows_of[other][:0],
+        )
+        residual_m[one] = mean_distance(joint[best], point_m, rows_of[one])
+        for k in range(len(pair)):
+            i, j = pair[k] // num, pair[k] % num
+            if k != best and worse_m[k] < np.inf and (i in (one, other) or j in (one, other)):
+                ends = (one if i == other else i), (one if j == other else j)
+                moved = min(ends) * num + max(ends)
+                # both may have touched the same plane
+                is_new[k] = not (pair[:k][worse_m[:k] < np.inf] == moved).any()
+                pair[k], worse_m[k] = moved, 0.0 if is_new[k] else np.inf
     result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)
-    for i in range(num):
-        rows = np.flatnonzero(label == i)
+    for rows in rows_of:
         if len(rows) >= max(min_points, 1):
             result[num_roofs] = _fit(point_m, rows, len(rows), settings.noise_m)
             if np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.fit.directions import directions, edge_ends
-from p2wss.fit.planes.arrangement import Arrangement, arrange
+from p2wss.fit.planes.arrangement import Arrangement, arrange, by_member
 from p2wss.fit.planes.costs import Costs, candidates_of, costs_of
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.known import known_lines, known_places, known_planes
@@ -148,17 +148,29 @@ def fit_planes(
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
     """The labels (c,) after cells where four walls would share an upright edge have got planes of those beside them, as
     cheaply as possible."""
-    is_shared = (cells.pair >= 0).all(axis=1)
-    while len(pair := cells.pair[at_pinch(cells, label, plane) & is_shared]):
-        moves = np.vstack([pair, pair[:, ::-1]])
-        changed = [np.where(np.arange(len(label)) == cell, label[beside], label) for cell, beside in moves]
-        best = min(
-            [label, *changed],
-            key=lambda each: costs.total_m3(each) + _PINCH_M3 * at_pinch(cells, each, plane).sum(),
-        )
-        if best is label:
-            break
-        label = best
+    pending = at_pinch(cells, label, plane, np.arange(len(cells.side))).tolist()
+    label, sides_at, sides_of = label.copy(), by_member(cells.side), by_member(cells.pair)
+    while pending:
+        place = pending.pop()
+        sides = sides_at(np.array([place]))
+        pair = cells.pair[sides]
+        pair = pair[(pair >= 0).all(axis=1)]
+        moves = [(cell, label[beside]) for cell, beside in np.vstack([pair, pair[:, ::-1]]).tolist()]
+        best_m3, best = 0.0, None
+        for cell, number in dict.fromkeys(moves):
+            changed = label.copy()
+            changed[cell] = number
+            corner = np.unique(cells.side[sides_of(np.array([cell]))])
+            around = sides_at(corner)
+            before, after = (
+                np.intersect1d(at_pinch(cells, x, plane, around), corner) for x in (label, changed)
+            )
+            saved_m3 = _PINCH_M3 * (len(after) - len(before)) + costs.change_m3(label, cell, number)
+            if saved_m3 < best_m3:
+                best_m3, best, still = saved_m3, changed, after
+        if best is not None:
+            label = best
+            pending += sorted({*still.tolist()} - {*pending})
     return label
 
 
@@ -181,6 +193,6 @@ def _without_open_ground(
         rest = np.where(face == number, OUTSIDE, label)
         beside = costs.problem.pair[(rest[costs.problem.pair] != OUTSIDE).all(axis=1)]
         is_one = len(np.unique(groups(len(rest), beside)[rest != OUTSIDE])) == 1
-        if is_one and not at_pinch(cells, rest, plane).any():
+        if is_one and not len(at_pinch(cells, rest, plane, np.arange(len(cells.side)))):
             label = rest
     return label

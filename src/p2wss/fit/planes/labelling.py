@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.fit.planes.costs import Costs, Problem, faces_of, is_step, side_m3, steps_m, total_m3
+from p2wss.fit.planes.costs import Costs, Problem, beside, faces_of, is_step, side_m3, steps_m, total_m3
 from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.half_edges import find
@@ -89,13 +89,6 @@ def _around_steps(
                 if x * x + y * y < prices.around_line_m**2:
                     start[other], cells[num], num = start[cell], other, num + 1
     return cells[:num].copy()
-
-
-@inner
-def beside(problem: Problem, way: int) -> int:
-    """The cell at the other hand of the side of a ``way``, an element of ``side_end``."""
-    num_sides = len(problem.pair)
-    return problem.pair[way, 1] if way < num_sides else problem.pair[way - num_sides, 0]
 
 
 class _Slots(NamedTuple):

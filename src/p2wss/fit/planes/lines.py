@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from p2wss.fit.directions import edge_ends
-from p2wss.fit.planes.detection import heights
+from p2wss.fit.planes.detection import heights, rows_of
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.types import cross
@@ -92,12 +92,27 @@ def lines_of(
             sides = [side[np.abs(side @ meet.normal - meet.offset_m) > settings.off_m] for side in sides]
         if min(map(len, sides)) >= _MIN_BORDER:
             steps += _steps(sides, along, settings)
-    is_off = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]) > _STEP_M
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
-    for number, angle in enumerate(own.tolist()):
-        is_own = label == number
-        steps += _extent(point_m[is_own, :2], point_m[is_off[:, number] & ~is_own, :2], angle, settings)
+    by_x = np.argsort(point_m[:, 0], kind="stable")
+    x_m = point_m[by_x, 0]
+    for number, (rows, angle) in enumerate(zip(rows_of(label, len(plane)), own.tolist(), strict=True)):
+        # a rectangle along the plane around its points, and what is as far along both axes
+        turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        place = point_m[rows, :2] @ turned.T
+        corner_m = (
+            np.array(np.meshgrid(*zip(place.min(axis=0), place.max(axis=0), strict=True))).reshape(2, -1).T
+            @ turned
+        )
+        low_m, high_m = corner_m.min(axis=0), corner_m.max(axis=0)
+        first, last = np.searchsorted(x_m, (low_m[0], high_m[0]))
+        others = by_x[first:last]
+        others = others[
+            (point_m[others, 1] >= low_m[1]) & (point_m[others, 1] <= high_m[1]) & (label[others] != number)
+        ]
+        off_m = np.abs(heights(plane[number : number + 1], point_m[others, :2])[:, 0] - point_m[others, 2])
+        others = np.sort(others[off_m > _STEP_M])
+        steps += _extent(point_m[rows, :2], point_m[others, :2], angle, settings)
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
     steps = snapped + [edge for edge, is_reflex in edges if is_reflex]
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)

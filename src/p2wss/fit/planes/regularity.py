@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.fit.directions import turn_between
-from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance
+from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance, rows_of
 from p2wss.fit.points import median
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.angles import bearings
@@ -23,7 +23,7 @@ def regular(
 ) -> np.ndarray:
     """Planes (k, 3) near to those detected. along: directions of the footprint, radians."""
     slack_m = settings.simpler_m
-    rows = [np.flatnonzero(planes.label == i) for i in range(len(planes.plane))]
+    rows = rows_of(planes.label, len(planes.plane))
     result = planes.plane.copy()
 
     def mean_m(plane: np.ndarray, i: int) -> float:

@@ -55,17 +55,20 @@ def solid_below(
     return None
 
 
-def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """bool (s,): the sides of cells that end where roofs are high and low in turn around a place: four walls would
-    share an upright edge, which no solid has."""
-    place = cells.side.T.ravel()
+def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """The ends of some sides around which, as these show, roofs are high and low in turn: four walls would share an
+    upright edge, which no solid has."""
+    place = cells.side[sides].T.ravel()
     # the ground is the last plane
-    number, plane = np.append(label, OUTSIDE)[np.tile(cells.pair.T, 2)], np.vstack([plane, np.zeros(3)])
+    number, plane = (
+        np.append(label, OUTSIDE)[np.tile(cells.pair[sides].T, 2)],
+        np.vstack([plane, np.zeros(3)]),
+    )
     low_m, high_m = np.sort([height_over(plane, each, cells.xy_m[place]) for each in number], axis=0)
     # walls begin and end, in the order of the places and from below
     place, change = np.tile(place, 2), np.repeat([1, -1], len(place))
     order = np.lexsort((change, np.append(low_m + _SAME_HEIGHT_M, high_m), place))
-    return np.asarray(np.isin(cells.side, place[order[np.cumsum(change[order]) > 2]]).any(axis=1))
+    return np.unique(place[order[np.cumsum(change[order]) > 2]])
 
 
 @dataclass
