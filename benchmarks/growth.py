@@ -15,13 +15,15 @@ Needs no data. Draws clouds and footprints, the work doubling eight times, and r
 Each size is a process of its own: its CPU time and peak memory (``figures.run``), less those of a run of one small
 house, in turn with it; the least of three for runs below ten seconds. The exponent is the slope of log cost over log
 work in the upper half of the sizes, where little of the cost does not grow: 1 is in proportion, 2 with the square.
-Memory is left out where it grows by less than ``MIN_MIB`` over all. A kind ends where a run takes longer than
+Memory is left out where it grows by less than ``MIN_MIB`` over all. *Built* is how many roof faces the result has, of
+those that were drawn: time in which nothing was found proves nothing. A kind ends where a run takes longer than
 ``--limit``; then the figures say up to which size it was measured.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import shutil
 import sys
@@ -38,6 +40,10 @@ NUM_DOUBLINGS = 8
 # the bars of single ratios: CPU time of a size over that of a smaller one
 RATIOS = {"planes": (640, 40, 20.0)}
 MIN_MIB = 20.0
+# drawn roofs of each unit of work, or of all sizes; and the least share of them that has to be built in the upper half
+ROOFS = {"planes": 1.0, "row": 2.0, "run": 2.0}
+ROOFS_OF_ALL = {"density": 5.0, "edges": 2.0}
+MIN_BUILT = 0.7
 LONG_S, REPEATS = 10.0, 3
 P2WSS = (sys.executable, "-m", "p2wss.cli", "reconstruct")
 NOISE_M, TOOTH_M = 0.03, 0.5
@@ -171,6 +177,19 @@ def command(kind: str, size: int, folder: Path) -> list[object]:
     return [*P2WSS, *inputs, "--quiet"]
 
 
+def num_roofs(folder: Path) -> int:
+    """Roof faces in the CityJSONSeq files of a folder."""
+    count = 0
+    for path in folder.glob("*.city.jsonl"):
+        with path.open(encoding="utf-8") as file:
+            for line in file:
+                for part in json.loads(line)["CityObjects"].values():
+                    for geometry in part.get("geometry", []):
+                        is_roof = [s["type"] == "RoofSurface" for s in geometry["semantics"]["surfaces"]]
+                        count += sum(is_roof[n] for shell in geometry["semantics"]["values"] for n in shell)
+    return count
+
+
 def measured(start: list[object], whole: list[object], limit_s: float) -> tuple[float, float, int]:
     """(CPU seconds, MiB) of a run less those of the start, and how many runs there were."""
     starts: list[Run] = []
@@ -195,25 +214,28 @@ def measure(kind: str, most: int, limit_s: float, folder: Path, figures: Figures
     """Print the table of a kind and add its figures."""
     start = command("run", 1, folder / f"{kind} start")
     run(start)  # compiles what is not compiled yet
-    sizes, times_s, peaks_mib = [], [], []
-    print(f"\n{kind:>8}  CPU s less start  CPU ms each  MiB above start  runs")
+    sizes, times_s, peaks_mib, built = [], [], [], []
+    print(f"\n{kind:>8}  CPU s less start  CPU ms each  MiB above start  runs  built")
     for size in (FIRST[kind] * 2**number for number in range(most + 1)):
         place = folder / f"{kind} {size}"
         try:
             cpu_s, mib, num_runs = measured(start, command(kind, size, place), limit_s)
+            built.append(
+                num_roofs(place / "out") / (ROOFS.get(kind, 0.0) * size + ROOFS_OF_ALL.get(kind, 0.0))
+            )
         except TimeoutError:
             print(f"{size:>8,}  not done after {limit_s:g} s")
             break
         finally:
             shutil.rmtree(place)
         print(
-            f"{size:>8,}  {cpu_s:>16.3f}  {1e3 * cpu_s / size:>11.2f}  {mib:>15.1f}  {num_runs:>4}",
+            f"{size:>8,}  {cpu_s:>16.3f}  {1e3 * cpu_s / size:>11.2f}  {mib:>15.1f}  {num_runs:>4}  {built[-1]:>5.2f}",
             flush=True,
         )
         sizes.append(size)
         times_s.append(cpu_s)
         peaks_mib.append(mib)
-        figures.row(f"{kind} {size}", {"cpu_s": cpu_s, "mib": mib})
+        figures.row(f"{kind} {size}", {"cpu_s": cpu_s, "mib": mib, "built": built[-1]})
     if len(sizes) < 4:
         print("too few sizes for an exponent")
         return
@@ -222,6 +244,7 @@ def measure(kind: str, most: int, limit_s: float, folder: Path, figures: Figures
     figures.at_most(f"{kind}: exponent of CPU time", exponent(sizes, times_s), MOST_EXPONENT[kind])
     if peaks_mib[-1] - peaks_mib[0] >= MIN_MIB:
         figures.at_most(f"{kind}: exponent of memory", exponent(sizes, peaks_mib), MOST_EXPONENT[kind])
+    figures.at_least(f"{kind}: built, least of the upper half", min(built[len(sizes) // 2 :]), MIN_BUILT)
     if kind in RATIOS:
         large, small, bar = RATIOS[kind]
         if large in sizes:
