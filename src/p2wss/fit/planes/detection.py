@@ -333,13 +333,13 @@ def _merged(
         np.ones(len(pair), np.bool_),
     )
     while len(pair):
-        for k in np.flatnonzero(is_new):
-            i, j = pair[k] // num, pair[k] % num
+        for new in np.flatnonzero(is_new):
+            i, j = pair[new] // num, pair[new] % num
             rows = np.concatenate((rows_of[i], rows_of[j]))
-            joint[k], is_new[k] = _fit(point_m, rows, len(rows), settings.noise_m), False
-            worse_m[k] = max(
-                mean_distance(joint[k], point_m, rows_of[i]) - residual_m[i],
-                mean_distance(joint[k], point_m, rows_of[j]) - residual_m[j],
+            joint[new], is_new[new] = _fit(point_m, rows, len(rows), settings.noise_m), False
+            worse_m[new] = max(
+                mean_distance(joint[new], point_m, rows_of[i]) - residual_m[i],
+                mean_distance(joint[new], point_m, rows_of[j]) - residual_m[j],
             )
         best = worse_m.argmin()
         if not worse_m[best] <= settings.simpler_m:
