@@ -2,6 +2,8 @@
 
     python benchmarks/bit_flips.py [--num 50] [--results results/mini]
 
+Needs no data; for the cost, the results of a run with Snakemake.
+
 Each file is written by the package, and read by the reader of the stage that follows, with one random bit flipped; a
 quarter of the flips are in the last kilobyte, where footers are. "told": one line names the file, or, of caches and
 checkpoints, a warning does and they are made again; "same": what was read is the same; "silent": it is not, and

@@ -2,6 +2,8 @@
 
     python benchmarks/chimneys.py [--seed 652]                  # the miniature; may be repeated
 
+Needs no data.
+
 What is measured is the difference between two meshes of a building, with and without chimneys, on a raster of 10 cm:
 each of its connected regions is a chimney that was built. It is right if its centre lies over a chimney that the town
 has, and that chimney then counts as detected. The price in `p2wss.fit.settings` was chosen on the towns of

@@ -2,6 +2,8 @@
 
     python benchmarks/dag.py [--tiles 10 100 1000 1500]
 
+Needs Snakemake, no data.
+
 All tiles are named and have real LiDAR. CPU seconds are of the whole process, its start and the printed commands
 included. The last line is JSON.
 """

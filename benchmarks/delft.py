@@ -2,8 +2,8 @@
 
     python benchmarks/delft.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
 
-The data (AHN3, 15 points per m², row houses in Delft) and the judge are not part of the project. Roofer's output is
-recorded, not made here. The bars are those of the default. The last line is JSON.
+Needs data (AHN3, 15 points per m², row houses in Delft) and the judge, which are not part of the project. Roofer's
+output is recorded, not made here. The bars are those of the default. The last line is JSON.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@
     .. --model models/point2wss.safetensors       # also the network, and parametric roofs that start from it
     .. --densities      # so many points per square metre, for the curve of docs/img/density.py
 
+Needs ``delft_ahn3`` and the judge, which are not part of the project.
+
 So many points of each house of Delft are drawn, and as large a share of the points beside it, three times; the judge
 measures against all points. Half A of the houses (every second by id) chose the settings, half B decided nothing.
 """

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -76,18 +78,41 @@ class Run(NamedTuple):
     output: str
 
 
-def run(command: Sequence[object], **environment: str) -> Run:
-    """Run a program to its end, with bytecode of the sources as after an installation. Raises ``SystemExit`` with its
-    messages if it fails."""
+def run(command: Sequence[object], limit_s: float | None = None, **environment: str) -> Run:
+    """Run a program to its end, with bytecode of the sources as after an installation. The CPU time is that of all its
+    processes, the memory that of the largest; it is at least what this process has had, so that this one should stay
+    small. Raises ``SystemExit`` with the messages of the program if it fails, ``TimeoutError`` after ``limit_s``."""
     inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     words = [str(word) for word in command]
     start = time.perf_counter()
     process = subprocess.Popen(
-        words, env=inherited | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        words,
+        env=inherited | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=limit_s is not None,
     )
     assert process.stdout is not None
-    output = process.stdout.read()
+    is_late = threading.Event()
+
+    def stop() -> None:
+        is_late.set()
+        os.killpg(process.pid, signal.SIGKILL)
+
+    timer = threading.Timer(limit_s or 0.0, stop)
+    if limit_s is not None:
+        timer.start()
+    try:
+        output = process.stdout.read()
+    except KeyboardInterrupt:  # its session does not get it
+        process.kill()
+        raise
+    finally:
+        timer.cancel()
     _, status, usage = os.wait4(process.pid, 0)
+    if is_late.is_set():
+        raise TimeoutError(f"not done after {limit_s:g} s: {' '.join(words)}")
     if status:
         raise SystemExit(f"{' '.join(words)}:\n{output}")
     wall_s = time.perf_counter() - start

@@ -2,6 +2,8 @@
 
     python benchmarks/fit_ablation.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
 
+Needs ``delft_ahn3``, ``lidarhd_crops``, ``bresse_ign`` and the judge, which are not part of the project.
+
 Means over the original clouds and three copies jittered by 2.5 mm, without the network; there are no bars. Half A of
 Delft (every second house by id) and blocks b0 and b4 were used for tuning, the others were not.
 """

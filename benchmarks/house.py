@@ -2,6 +2,8 @@
 
     python benchmarks/house.py [--measure --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py]
 
+Needs the sources alone; ``--measure`` the data and the judge of ``fit_ablation.py``.
+
 A room is a package or module directly below src/p2wss, or one of benchmarks and workflow. An arrow: a file of one room
 imports another, be it for types only. ``--measure`` adds what takes half an hour: the compilation of a first use
 (first_use.py) and the accuracy of the default settings (fit_ablation.py). The last line is JSON.

@@ -1,6 +1,6 @@
 """The fit on simulated buildings with known eave height and angles: errors beside their bars, and their causes.
 
-Which edges count as seen: :func:`p2wss.eval.parameters.seen_edges`.
+Used by real.py. Which edges count as seen: :func:`p2wss.eval.parameters.seen_edges`.
 """
 
 from __future__ import annotations

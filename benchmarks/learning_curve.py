@@ -3,6 +3,8 @@
     python benchmarks/learning_curve.py results/shipped/crops/manifest.json --model models/point2wss.safetensors \
         --checkpoints CHECKPOINTS/step-*.pt --every 6
 
+Needs torch, labelled crops of a run of the pipeline, and checkpoints of a training.
+
 The weights of each checkpoint predict held-out buildings: with the footprint given, and with all digits masked
 as in Table 1 of the paper. The last line is JSON; a training keeps its last two checkpoints, so copy those in between.
 """

@@ -2,6 +2,8 @@
 
     python benchmarks/lidar.py [--quick] [--data FOLDER]
 
+Needs embreex and trimesh (the extra ``scan``); real LiDAR for the comparison with it.
+
 Speeds are CPU time of one core. The scene is 1 km2 of terrain with 5,000 buildings under about 10 million
 pulses; --quick takes a sixteenth of it, whose times mean little. FOLDER contains real LiDAR (default:
 ../shared/data; absent files are skipped). The last line is JSON.

@@ -1,4 +1,5 @@
-"""The scene of lidar.py: terrain, buildings and settings made from a formula, and the pipeline on it."""
+"""The scene of lidar.py: terrain, buildings and settings made from a formula, and the pipeline on it. Used by lidar.py
+and its other parts."""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
     python benchmarks/load.py --data ../shared/data                  # 106 copies, 10 CPU-minutes
     python benchmarks/load.py --data ../shared/data --copies 16      # 1,184 buildings
 
+Needs ``delft_ahn3``, which is not part of the project.
+
 The area is the cloud of Delft (AHN3) and its 74 footprints, repeated on a grid, one LAZ file per row of the grid. Each
 run of the command is a process of its own: 1 copy, 4 copies, one tile of the large area with ``--tile``, again 1 and 4
 copies, and all copies. Measured are the peak memory of the process and its children, and CPU time per building: of

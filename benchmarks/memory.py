@@ -3,6 +3,8 @@
     snakemake -c2 crops                     # the miniature's shards
     python benchmarks/memory.py
 
+Needs torch and the crops of the miniature.
+
 The large data sets are copies of the miniature's shards with other tiles. predict, fit, the baselines and measure run
 on the miniature and on a group of 16 shards, of which 20 times the miniature has five; the parts of the other groups
 are copies of it. merge and report run on all of it. The 430,000 buildings (the paper's test) have clouds of 40 points,

@@ -3,6 +3,8 @@ noise that decides which comes first.
 
     python benchmarks/near_ties.py [--num 100000] [--seed 0]
 
+Needs no data.
+
 A draw is a shape (rectangle, L, T, U, H, I, plus, star, regular polygon, frame), turned, moved, with noise of its
 coordinates and with angles of one kind. It fails without a mesh, and also with one that is not closed, not above the
 footprint, not of the angles that were asked for or, of one angle for all edges, not of the volume without noise. The

@@ -2,6 +2,8 @@
 
     python benchmarks/old_town.py [--seed 101] [--save FOLDER]
 
+Needs no data.
+
 Draws the town (``p2wss towns --kind old --lidar``), reconstructs it by ``p2wss.reconstruct`` without the network, and
 compares heights on a raster with those of the true roofs. Nothing was chosen on the seed that is the default.
 

@@ -2,6 +2,8 @@
 
     python benchmarks/parsing.py
 
+Needs Snakemake, no data.
+
 Medians of three, in a fresh folder without results, against a bare import of Snakemake. The last line is JSON.
 """
 

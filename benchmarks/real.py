@@ -4,6 +4,8 @@
     .. --model model.safetensors                         # also with the network
     .. --simulated results/mini/crops/manifest.json      # also on the labelled test split
 
+Needs the data and the judge, which are not part of the project.
+
 ``--data`` holds ``delft_ahn3``, ``bresse_ign`` and ``lidarhd_crops``. The judge is a separate script that shares no
 code with this package. Halves A and B: every second building of Delft by id.
 """

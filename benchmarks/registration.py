@@ -4,6 +4,8 @@
     .. --model src/p2wss/weights/point2wss.safetensors     # with the network, else the fit alone
     p2wss towns --seed 7 --out town --lidar && .. --town town                 # simulated LiDAR instead
 
+Needs data and the judge, which are not part of the project.
+
 Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed and
 judged against the footprints and points in place, in two halves (every second building by id). Thresholds were chosen
 on Delft with the seeds 0 to 2, so the seeds from 3 are the test, of both halves. Sheds: squares of 2 to 6 m at random

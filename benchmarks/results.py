@@ -5,6 +5,8 @@
     python benchmarks/results.py --record lidar --code scans crops -- python benchmarks/lidar.py
     python benchmarks/results.py --record miniature --code eval --csv results/mini/eval/table1.csv -- make eval_report
 
+Needs what the command needs that it records.
+
 ``--record NAME`` runs the command and writes ``docs/results/NAME.json``: the command, the machine, the version, the
 fingerprint of the code that was measured, and as ``figures`` the last line of the output, which every benchmark
 prints as JSON, or with ``--csv`` the rows of a table.

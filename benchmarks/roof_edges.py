@@ -1,4 +1,4 @@
-"""How the edges of a roof differ from the true ones: what false edges are, and corners."""
+"""How the edges of a roof differ from the true ones: what false edges are, and corners. Used by structure.py."""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@ Usage::
     python benchmarks/scene.py --data ../shared/data                         # with the network that comes with p2wss
     .. --model none                                                          # only fitted
 
+Needs data that are not part of the project.
+
 ``--data`` holds ``delft_ahn3`` (74 row houses) and ``olemps_bdtopo`` (2,273 footprints of a village). Every measure
 takes the same scene and adds its figures; :data:`MEASURES` lists them. What the input footprints share is measured in
 the same way as what the output shares.

@@ -4,6 +4,8 @@ Usage::
 
     python benchmarks/sionna_rt.py --data ../shared/data
 
+Needs Sionna RT, and data that are not part of the project.
+
 ``--data`` holds ``delft_ahn3`` (74 row houses). Sionna RT is run by the interpreter of ``--sionna``, by default that of
 the environment that ``pytest -m slow tests/unit/formats/test_sionna_rt.py`` makes; ``DRJIT_LIBLLVM_PATH`` names an
 LLVM for it. Paths lead from one transmitter above the roofs to 16 receivers above them and 32 low ones, with one

@@ -2,6 +2,8 @@
 
     python benchmarks/skeleton.py [--num 5000] [--real FOLDER]
 
+Needs SFCGAL; the rest is optional.
+
 All speeds are CPU time of one core. FOLDER contains real footprints (default: ../shared/data; skipped if
 absent). The last line is JSON.
 """

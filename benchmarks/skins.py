@@ -1,4 +1,4 @@
-"""Whether the skins of blocks are closed, small and without false wedges: measures of ``benchmarks/scene.py``."""
+"""Whether the skins of blocks are closed, small and without false wedges: measures. Used by scene.py."""
 
 from __future__ import annotations
 

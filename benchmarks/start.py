@@ -2,6 +2,8 @@
 
     python benchmarks/start.py
 
+Needs no data.
+
 CPU seconds of ``p2wss COMMAND --help``, and of ``p2wss reconstruct`` until it has read its input and has the first
 building at hand, without and with the network, with the peak memory until then. In each case the least of a few runs,
 after one that is not measured, and divided by how much slower than usual the machine is (``figures.slowness``).

@@ -3,6 +3,8 @@
     python benchmarks/structure.py [--seed 1 --seed 2]
     python benchmarks/structure.py --few        # of houses with 80, 40, 20 and 10 points on each
 
+Needs no data.
+
 Draws the towns of the seeds (``p2wss towns --kind wings --lidar``), reconstructs them by ``p2wss.reconstruct`` without
 the network, and compares the edges with the true ones, by shape of the house and by kind of edge. The definitions are
 in ``p2wss.eval.metrics.structure``: false and missing edges are further than 0.5 m from any edge of the other; an exact

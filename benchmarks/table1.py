@@ -3,6 +3,8 @@
     python benchmarks/table1.py results/shipped/crops/manifest.json --model models/point2wss.safetensors
     .. --scans results/shipped/scans --buildings results/shipped/buildings --buffer 4   # the same scan cropped again
 
+Needs torch, and labelled crops of a run of the pipeline.
+
 The crops hold the points up to ``crops.buffer_m`` (1 m) around the true footprint, so that their own border gives the
 footprint away, to a network that was trained on such crops. ``--buffer`` crops the scans of the buildings in the
 manifest again, with another distance. The last line is JSON: each figure with its bar, those of the paper.

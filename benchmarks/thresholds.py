@@ -2,6 +2,8 @@
 
     python benchmarks/thresholds.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
 
+Needs ``delft_ahn3``, ``lidarhd_crops`` and the judge, which are not part of the project.
+
 The defaults were chosen on the towns of seeds 7 and 8, half A of Delft, and blocks b0 and b4; there are no bars.
 """
 

@@ -3,6 +3,8 @@
     python benchmarks/training.py [--config config/models/cpu.yaml ..] [--num 4000] [--steps 3] [--batch N]
     python benchmarks/training.py --config config/models/gpu.yaml --device cuda --steps 20
 
+Needs torch, no data.
+
 ``--config`` can switch ``compute.compile`` on; the completion is always compiled on a GPU.
 
 All speeds are CPU time of one thread, or on a GPU the time that passes. Clouds and footprints are random. The loader's

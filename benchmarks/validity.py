@@ -2,6 +2,8 @@
 
     python benchmarks/validity.py [--num 20000] [--footprints FILE]
 
+Needs footprints, which are not part of the project.
+
 Outlines: BD TOPO of Olemps (default: ../shared/data/olemps_bdtopo), or any vector file with polygons. Roofs: as scenes
 draw them, as the paper draws them, and angles from 0 to 90 degrees; the same with courtyards cut out; planes over the
 cells between random lines; and hard ones with planes that are nearly equal and lines that end millimetres beside

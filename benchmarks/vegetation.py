@@ -2,6 +2,8 @@
 
     python benchmarks/vegetation.py [--without-classes]
 
+Needs no data but the files of ``tests/mini``.
+
 Makes scenes, buildings and surveys by the stages of the workflow with the defaults, and looks for plants by
 :func:`p2wss.reconstruct.vegetation.plants`. The rules were chosen on the first tile, and looked at on the others.
 A tree is found if the middle of a crown of its own is within its radius; other crowns are false. Heights are those of

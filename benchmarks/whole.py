@@ -1,21 +1,20 @@
-"""What a whole run of ``p2wss reconstruct`` costs, of houses beside Roofer and of large blocks; the last line is JSON.
+"""What a whole run of ``p2wss reconstruct`` costs, of houses and of large blocks; the last line is JSON.
 
     python benchmarks/whole.py --data ../shared/data [--copies 106]
 
-The data (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks) are not part of the project. Runs of all
-houses, of a quarter of them, of the blocks and of Roofer (https://github.com/3DBAG/roofer, if ``roofer`` is installed)
-alternate, so that other work on the machine slows all of them. CPU time is divided by how much slower than usual the
-machine is just before and after the run (``figures.slowness``); of each program, the run of the median counts. A
-further house: the difference of the two runs of p2wss, and with it the start, which is taken off the blocks. Without
-the network, on one thread, with default outputs. ``--copies``: also a town of so many copies of the houses, first with
-the default outputs, then as a scene for radar: skins, GLB and Sionna's files.
+Needs data that are not part of the project (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks). Runs
+of all houses, of a quarter of them and of the blocks alternate, so that other work on the machine slows all of them.
+CPU time is divided by how much slower than usual the machine is just before and after the run (``figures.slowness``);
+of each, the run of the median counts. A further house: the difference of the two runs of houses, and with it the start,
+which is taken off the blocks. Without the network, on one thread, with default outputs. ``--copies``: also a town of so
+many copies of the houses, first with the default outputs, then as a scene for radar: skins, GLB and Sionna's files.
+How that compares with another program: ``beside_roofer.py``.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -27,8 +26,6 @@ import numpy as np
 import pandas as pd
 from figures import Figures, Run, run, slowness
 
-# CPU seconds per building of Roofer 1.1.0-beta.1, recorded on two cores with other work
-ROOFER_S = 2.85 / 160
 NUM_FEW = 18
 # of a town of copies, beside each other
 STEP_M, NUM_COLUMNS = (125.0, 150.0), 10
@@ -103,8 +100,6 @@ def main() -> int:
                 "none",
             ],
         }
-        if shutil.which("roofer"):
-            commands["Roofer"] = ["roofer", "-j", "2", cloud, footprints, Path(name, "roofer")]
         run(commands["few houses"])  # compiles what is not compiled yet
         for _ in range(arguments.repeats):
             for title, command in commands.items():
@@ -120,9 +115,7 @@ def main() -> int:
         print(f"{title:<12} {each.cpu_s:6.2f} CPU s {each.wall_s:6.2f} s {each.peak_mib:6.0f} MiB")
         figures.row(title, {"CPU s": each.cpu_s, "s": each.wall_s, "MiB": each.peak_mib})
     whole, further = typical["all houses"], typical["all houses"].cpu_s - typical["few houses"].cpu_s
-    roofer_s = typical["Roofer"].cpu_s / len(houses) if "Roofer" in typical else ROOFER_S
     further_s = further / (len(houses) - NUM_FEW)
-    print(f"a further house costs {further_s / roofer_s:.1f} times as much as one of Roofer's")
     start_s = typical["few houses"].cpu_s - NUM_FEW * further_s
     figures.at_most("whole run, CPU s", whole.cpu_s, 3.5)
     figures.at_most("a further house, CPU ms", 1e3 * further_s, 22)
