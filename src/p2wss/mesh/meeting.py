@@ -25,6 +25,8 @@ _NUM_ROUNDS = 4
 _NUM_TURNS = 18
 # how many planes away from where planes do not meet others still move
 _NUM_RINGS = 2
+# a plane with more places than this moves only where it does not meet others
+_MANY_PLACES = 16
 _GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
 # so many planes and places that depend on each other are solved for together
 _TOGETHER = 60
@@ -94,7 +96,9 @@ def _is_near(
 ) -> np.ndarray:
     """bool (k,): which pairs of a place and a plane that moves are few links away from where planes do not meet, bool
     (n,): a change fades with the planes between, so that further ones stay. is_link: which pairs are links."""
-    is_link, is_near = is_link & moves[plane], is_off.copy()
+    # a plane with many places moves only for its own
+    is_small = (np.bincount(plane) <= _MANY_PLACES)[plane] | is_off[at]
+    is_link, is_near = is_link & moves[plane] & is_small, is_off.copy()
     for _ in range(_NUM_RINGS):
         is_moved = np.zeros(len(moves), bool)
         is_moved[plane[is_link & is_near[at]]] = True

@@ -45,7 +45,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
         rows = np.flatnonzero(edge_m < short_m)
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
             end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-            around = tuple(
+            around = frozenset(
                 np.unique(mesh.label[(mesh.triangle == each).any(axis=1)]).tobytes() for each in (end, gone)
             )
             if around in kept or not _can_merge(mesh, end, gone):

@@ -77,9 +77,10 @@ def test_no_file_is_unpickled() -> None:
             r"^\s*(import|from) (pickle|dill|joblib|cloudpickle)", path.read_text(), re.M
         )
         # values that a process keeps for itself, in a file without a name that no other process can open
-        assert not imports_pickle or path.name == "spool.py", path
-    spool = (ROOT / "src/p2wss/reconstruct/spool.py").read_text()
-    assert re.findall(r"pickle\.load\w*\(.*", spool) == [
-        "pickle.loads(self._scratch.read(*self._place[index]))  # nosec B301"
-    ]
+        assert not imports_pickle or path.name in ("spool.py", "processes.py"), path
+    for name, place in (("spool", "*self._place[index]"), ("processes", "place, size")):
+        text = (ROOT / f"src/p2wss/reconstruct/{name}.py").read_text()
+        assert re.findall(r"pickle\.load\w*\(.*", text) == [
+            f"pickle.loads(self._scratch.read({place}))  # nosec B301"
+        ]
     assert "TemporaryFile(" in inspect.getsource(Scratch) and "Named" not in inspect.getsource(Scratch)

@@ -108,19 +108,13 @@ def costs_of(
     order = order[np.searchsorted(of_cell[order], 0) :]
     begin = np.searchsorted(of_cell[order], np.arange(len(cells.area_m2) + 1))
     first, number = candidates
+    seen = _Points(
+        point_m[order], stands_m2[order], begin, float(point_m[:, 2].min()), float(point_m[:, 2].max())
+    )
+    vertex, vertex_first = _vertices_of(cells)
+    area_m2 = writable(cells.area_m2, np.float64)
     cell_m3 = _cell_costs(
-        first,
-        number,
-        writable(plane, np.float64),
-        point_m[order],
-        stands_m2[order],
-        begin,
-        writable(cells.area_m2, np.float64),
-        *_vertices_of(cells),
-        writable(cells.xy_m, np.float64),
-        float(point_m[:, 2].min()),
-        float(point_m[:, 2].max()),
-        prices,
+        first, number, writable(plane, np.float64), seen, area_m2, cells.xy_m[vertex], vertex_first, prices
     )
     is_shared = (cells.pair >= 0).all(axis=1)
     end_m = cells.xy_m[cells.side[is_shared]]
@@ -299,36 +293,42 @@ def _united(
     return first, result[:count].copy()
 
 
+class _Points(NamedTuple):
+    """Points, cell by cell. stands_m2: (m,), the area that each stands for. begin: (c + 1,), where those of each cell
+    begin. bottom_m, top_m: heights of the lowest and the highest point, also of those in no cell."""
+
+    point_m: np.ndarray
+    stands_m2: np.ndarray
+    begin: np.ndarray
+    bottom_m: float
+    top_m: float
+
+
 @entry
 def _cell_costs(
     first: np.ndarray,
     number: np.ndarray,
     plane: np.ndarray,
-    point_m: np.ndarray,
-    stands_m2: np.ndarray,
-    begin: np.ndarray,
+    seen: _Points,
     area_m2: np.ndarray,
-    vertex: np.ndarray,
-    vertex_first: np.ndarray,
-    xy_m: np.ndarray,
-    bottom_m: float,
-    top_m: float,
+    corner_m: np.ndarray,
+    corner_first: np.ndarray,
     prices: PlanePrices,
 ) -> np.ndarray:
-    """(n,): what each candidate costs. point_m: cell by cell, those of each begin at ``begin``. vertex: the same of the
-    vertices. bottom_m, top_m: heights of the lowest and the highest point of all."""
+    """(n,): what each candidate costs. corner_m: (v, 2), of all cells, those of each begin at ``corner_first``."""
+    point_m, begin = seen.point_m, seen.begin
     result = np.zeros(len(number))
     for cell in range(len(area_m2)):
         for t in range(first[cell], first[cell + 1]):
             a, b, c = plane[number[t]]
             for k in range(begin[cell], begin[cell + 1]):
                 off_m = abs(a * point_m[k, 0] + b * point_m[k, 1] + c - point_m[k, 2])
-                result[t] += min(off_m, prices.cap_m) * stands_m2[k]
+                result[t] += min(off_m, prices.cap_m) * seen.stands_m2[k]
             low_z, high_z = np.inf, -np.inf
-            for k in range(vertex_first[cell], vertex_first[cell + 1]):
-                z = a * xy_m[vertex[k], 0] + b * xy_m[vertex[k], 1] + c
+            for k in range(corner_first[cell], corner_first[cell + 1]):
+                z = a * corner_m[k, 0] + b * corner_m[k, 1] + c
                 low_z, high_z = min(low_z, z), max(high_z, z)
-            beyond_m = max(high_z - top_m, bottom_m - low_z) - prices.support_m
+            beyond_m = max(high_z - seen.top_m, seen.bottom_m - low_z) - prices.support_m
             result[t] += area_m2[cell] * min(max(beyond_m, 0.0), prices.cap_m)
             if low_z < _LOWEST_M:
                 result[t] += FORBIDDEN_M3

@@ -234,11 +234,14 @@ def _largest(
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
     trial, num_trials, min_slope_points = np.zeros(3), 0, max(min_points, settings.min_slope_points)
+    # of very many points, some that showed nothing
+    is_tried = np.zeros(num, np.bool_)
     while True:
-        free = np.flatnonzero(label < 0)
-        num_seeds = max(1, min(settings.num_seeds, settings.max_seed_points // num))
+        free = np.flatnonzero((label < 0) & ~is_tried)
+        num_seeds = max(1, min(settings.num_seeds, settings.max_seed_points // max(len(free), 1)))
         best_score, best_count = 0.0, ZERO
-        for seed in free[:: len(free) // num_seeds + 1]:
+        seeds = free[:: len(free) // num_seeds + 1]
+        for seed in seeds:
             for t in range(num_near * len(axis)):
                 other, along = neighbour[seed, t // len(axis)], axis[t % len(axis)]
                 slope = 0.0
@@ -267,7 +270,10 @@ def _largest(
                     best_score, best_count = score, count
                     best_rows[:count] = rows[:count]
         if best_count == 0:
-            return plane[:num_planes].copy(), label
+            if len(free) <= settings.max_seed_points // settings.num_seeds:
+                return plane[:num_planes].copy(), label
+            is_tried[seeds] = True
+            continue
         for t in range(best_count):
             label[best_rows[t]] = num_planes
         plane[num_planes] = _fit(point_m, best_rows, best_count, settings.noise_m)
@@ -333,13 +339,13 @@ def _merged(
         np.ones(len(pair), np.bool_),
     )
     while len(pair):
-        for k in np.flatnonzero(is_new):
-            i, j = pair[k] // num, pair[k] % num
+        for new in np.flatnonzero(is_new):
+            i, j = pair[new] // num, pair[new] % num
             rows = np.concatenate((rows_of[i], rows_of[j]))
-            joint[k], is_new[k] = _fit(point_m, rows, len(rows), settings.noise_m), False
-            worse_m[k] = max(
-                mean_distance(joint[k], point_m, rows_of[i]) - residual_m[i],
-                mean_distance(joint[k], point_m, rows_of[j]) - residual_m[j],
+            joint[new], is_new[new] = _fit(point_m, rows, len(rows), settings.noise_m), False
+            worse_m[new] = max(
+                mean_distance(joint[new], point_m, rows_of[i]) - residual_m[i],
+                mean_distance(joint[new], point_m, rows_of[j]) - residual_m[j],
             )
         best = worse_m.argmin()
         if not worse_m[best] <= settings.simpler_m:

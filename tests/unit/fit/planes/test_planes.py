@@ -715,3 +715,26 @@ def test_points_on_a_regular_grid_have_borders() -> None:
     label = (x.ravel() > 1.7).astype(int)
     ((pair, sides),) = lines._borders(label, np.column_stack([xy_m, label]), 0.4).items()
     assert pair == (0, 1) and [len(side) for side in sides] == [12, 12]
+
+
+def test_sparse_points_of_a_large_building_show_all_its_roofs() -> None:
+    """In a corner of each roof, points are scattered: where the search begins there, it goes on elsewhere."""
+    rng = np.random.default_rng(0)
+    xy_m = rng.uniform(0, 90, (20000, 2))
+    roof = (xy_m // 30).astype(int) @ [3, 1]
+    is_scattered = rng.uniform(size=len(xy_m)) < 0.3
+    height_m = (
+        10.0
+        + 3 * roof
+        + np.where(is_scattered, rng.uniform(-8, 8, len(xy_m)), rng.normal(0, 0.03, len(xy_m)))
+    )
+    point_m = np.column_stack([xy_m, height_m])
+    found = detect(point_m, len(xy_m) / 90**2, [0.0], PLANES.detection)
+    seen = found.label[~is_scattered] >= 0
+    assert seen.mean() > 0.95
+    for k in range(9):
+        own = found.label[(roof == k) & ~is_scattered & (found.label >= 0)]
+        largest = found.plane[np.bincount(own).argmax()]
+        assert heights(largest[None], np.array([[30 * (k // 3) + 15.0, 30 * (k % 3) + 15.0]]))[
+            0, 0
+        ] == pytest.approx(10 + 3 * k, abs=0.1)
