@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
 from p2wss.config import Dvae
 from p2wss.nets import compute
 from p2wss.nets.patches import Patches, make_patches
+from p2wss.skeleton.compiled import both, entry
 
 # Network units per metre: 10 m become 1. Clouds are never scaled to the unit sphere, which would erase heights.
 NETWORK_SCALE = 0.1
@@ -88,7 +88,7 @@ def thin(count: int, num_points: int, state: int | None = None) -> np.ndarray:
     return selected
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _cut(
     points_cm: np.ndarray,
     first: np.ndarray,
@@ -106,7 +106,7 @@ def _cut(
                 points[row, number, axis] = np.float32(value) * np.float32(0.01)
 
 
-@njit(cache=True, nogil=True)
+@both
 def _select(count: int, state: Any, selected: np.ndarray) -> None:
     """Fill ``selected`` with a random subset of ``range(count)``, each equally likely, in ascending order.
 

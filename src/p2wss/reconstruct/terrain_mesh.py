@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import scipy
-from numba import njit
 
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.formats.meshes import TERRAIN, Body
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import border_rings, doubled_plan_areas, twins
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
 NAME = "terrain"
@@ -69,7 +69,7 @@ def lowered_into(bodies: Sequence[Body], terrain: Terrain) -> list[Body]:
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _worst_cells(height_m: np.ndarray, corner: np.ndarray, tolerance_m: float) -> np.ndarray:
     """For each triangle, int (t, 3, 2) of columns and rows, clockwise on the grid, the cell (row * columns +
     column) whose height is furthest from it, -1 if none is further than ``tolerance_m``."""

@@ -146,3 +146,10 @@ def test_the_garbage_collector_rests_while_numba_compiles() -> None:
     with event.install_listener("numba:compile", Listener()):
         assert one(1) == 2
     assert is_enabled == [False] and gc.isenabled()
+
+
+def test_all_machine_code_of_the_package_is_cached_by_its_own_rules() -> None:
+    """numba's cache raises an error at import where no folder can be written, and keeps the code of older sources."""
+    folder = Path(p2wss.skeleton.__file__).parents[1]
+    files = [path for path in folder.rglob("*.py") if "njit(" in path.read_text(encoding="utf-8")]
+    assert [path.name for path in files] == ["compiled.py"]
