@@ -18,6 +18,7 @@ from p2wss.data.tiling import Bounds
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features, columns_of
+from p2wss.storage.log_lines import log
 
 # WKB types that shapely cannot read, and those with the same bytes that it can
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
@@ -48,8 +49,14 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Feature
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
+        layer = _layer(path)
+        if layer is not None:
+            names = [name for name, _ in pyogrio.list_layers(path).tolist() if name != layer]
+            log.info(
+                "note: %s: layer %s, the first with polygons, is read; not %s", path, layer, ", ".join(names)
+            )
         meta, number, wkb, values = pyogrio.raw.read(
-            path, layer=_layer(path), bbox=bounds, return_fids=True, datetime_as_string=True
+            path, layer=layer, bbox=bounds, return_fids=True, datetime_as_string=True
         )
     if wkb is None:
         raise InputError(f"{path}: has no geometry")

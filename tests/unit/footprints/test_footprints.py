@@ -232,3 +232,13 @@ def test_parts_have_names_of_their_own_in_every_window(tmp_path: Path) -> None:
     assert [name for frame in by_window for name in frame["building_id"]] == expected
     assert list(whole.columns) == list(by_window[0].columns)
     assert not [name for name in whole.columns if "taken" in name]
+
+
+def test_of_several_layers_it_is_said_which_is_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "layers.gpkg"
+    gpd.GeoDataFrame({"a": [1]}, geometry=[shapely.Point(0, 0)], crs="EPSG:2154").to_file(path, layer="trees")
+    frame(shapely.box(0, 0, 9, 9)).to_file(path, layer="houses")
+    with caplog.at_level("INFO", logger="p2wss"):
+        features = read_footprints(path)
+    assert len(features) == 1
+    assert "layer houses, the first with polygons, is read; not trees" in caplog.text
