@@ -181,7 +181,11 @@ def test_every_config_plans(fresh):
             "region={tile_size_m: 0}",
             "config: region.tile_size_m: Input should be greater than or equal to 10",
         ),
-        ("eval={roofer_recorded: gone.jsonl}", "config: eval.roofer_recorded: gone.jsonl: no such file"),
+        # recorded outputs are for where Roofer cannot be run
+        (
+            "eval={roofer_recorded: gone.jsonl, roofer_command: no-roofer}",
+            "config: eval.roofer_recorded: gone.jsonl: no such file",
+        ),
         ("model={weights: gone.safetensors}", "config: model.weights: gone.safetensors: no such file"),
     ],
 )
