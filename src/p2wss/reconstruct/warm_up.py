@@ -120,6 +120,7 @@ def warm_product() -> None:
     )
     costs = Costs(problem, PlanePrices(), np.zeros((1, 2)))
     costs.total_m3(costs.faces(pair[0, :1]))
+    costs.change_m3(pair[0, :1], 0, 0)
     # only one with a short edge
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     # no two of the three touch
