@@ -17,6 +17,7 @@ from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
     from p2wss.data.terrain import Terrain
+    from p2wss.mesh import Mesh
 
 # a transformation that is less accurate moves footprints visibly
 _ACCURATE_M = 0.5
@@ -71,6 +72,10 @@ class MetricCrs:
         else:
             x_m, y_m = x * self.horizontal_m, y * self.horizontal_m
         return x_m, y_m, z * self.vertical_m
+
+    def mesh(self, mesh: Mesh) -> Mesh:
+        """A mesh in the CRS of the run, of one in the units of the source."""
+        return replace(mesh, vertex_m=np.column_stack(self.points(*mesh.vertex_m.T)))
 
     def unstated_m(self, terrain_crs: pyproj.CRS) -> float:
         """Length of the unit of heights of a raster that does not state it: that of the clouds in their CRS, else that
