@@ -17,6 +17,7 @@ from p2wss.storage import files
 @click.argument("footprints", type=PATH, metavar="FOOTPRINTS", help="vector file with a polygon per building")
 @clouds_argument
 @option("--id-field", metavar="COLUMN", help="column of FOOTPRINTS with the ids (default: recognised)")
+@setting("reconstruct.footprint_layer", "--layer", metavar="NAME")
 @crs_option
 @setting("reconstruct.height_unit")
 @config_option
@@ -36,8 +37,16 @@ def evaluate(
     """
     from p2wss.eval.files import evaluate, summary
 
-    height_unit = config.reconstruct.height_unit
-    table = evaluate(file, footprints, clouds, id_field=id_field, crs=crs, height_unit=height_unit)
+    settings = config.reconstruct
+    table = evaluate(
+        file,
+        footprints,
+        clouds,
+        id_field=id_field,
+        crs=crs,
+        height_unit=settings.height_unit,
+        layer=settings.footprint_layer,
+    )
     if csv is not None:
         files.write_text(csv, table.to_csv(float_format="%.4f", lineterminator="\n"))
     counts = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())

@@ -54,6 +54,7 @@ def evaluate(
     id_field: str | None = None,
     crs: str | None = None,
     height_unit: str = "",
+    layer: str = "",
     seed: int = 0,
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
@@ -63,7 +64,7 @@ def evaluate(
     files. A building is that of the
     footprint whose id is its name or its attribute ``id_field``, or else of the one that it overlaps most. id_field:
     column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none. height_unit: of the
-    heights of clouds, whatever they state.
+    heights of clouds, whatever they state. layer: of the footprints.
 
     Columns: ``status`` (``ok``, ``no mesh`` or ``too few points``, then without measures); ``num_points`` up to 1 m
     from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
@@ -77,7 +78,7 @@ def evaluate(
     cloud, conversion = read_cloud_of(scene_crs, bounds, name, clouds, crs, height_unit)
     if conversion is not None:
         solids = [replace(each, mesh=conversion.mesh(each.mesh)) for each in solids]
-    frame = _footprints(footprints, id_field, cloud.crs)
+    frame = _footprints(footprints, id_field, cloud.crs, layer)
     by_id = _matched(solids, frame.geometry, id_field)
     parts = frame.geometry.explode()
     point, inside, offset = crop_points(
@@ -105,12 +106,12 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _footprints(
-    footprints: str | Path | gpd.GeoDataFrame, id_field: str | None, crs: pyproj.CRS | None
+    footprints: str | Path | gpd.GeoDataFrame, id_field: str | None, crs: pyproj.CRS | None, layer: str
 ) -> gpd.GeoDataFrame:
     """The polygons by id, in the CRS of the clouds if both are known."""
     name = footprints if isinstance(footprints, str | Path) else "footprints"
     if isinstance(footprints, str | Path):
-        features, number = read_vector(footprints)
+        features, number = read_vector(footprints, None, layer)
     else:
         features, number = Features.of(footprints), footprints.index.to_numpy()
     names = building_ids(features.columns, number, schema_of(features.columns), id_field, name)

@@ -117,7 +117,7 @@ def check_inputs(
         settings = config.reconstruct
         columns = [settings.id_field, settings.height_field]
         columns += [name for name in settings.keep_columns if name != "all"]
-        footprints_crs = _check_footprints(footprints, columns, may_be_empty)
+        footprints_crs = _check_footprints(footprints, columns, may_be_empty, settings.footprint_layer)
         names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
     for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
         log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
@@ -250,11 +250,11 @@ def _in_memory(cloud: np.ndarray | laspy.LasData | Cloud) -> Cloud:
 
 
 def _check_footprints(
-    footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool
+    footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool, layer: str
 ) -> pyproj.CRS | None:
     """The CRS of the footprints, if it is stated. Raises :class:`InputError` if these cannot be footprints."""
     if isinstance(footprints, Path):
-        name, info = footprints, vector_files.layer_info(footprints)
+        name, info = footprints, vector_files.layer_info(footprints, layer)
     else:
         name = _FOOTPRINTS
         info = {
@@ -271,7 +271,10 @@ def _check_footprints(
     if info["features"] and not any(
         kind in geometry for kind in ("Polygon", "Surface", "Collection", "Unknown")
     ):
-        raise InputError(f"{name}: has no polygons; footprints must be polygons")
+        others = (
+            f"; its other layers are {', '.join(info['other_layers'])}" if info.get("other_layers") else ""
+        )
+        raise InputError(f"{name}: has no polygons; footprints must be polygons{others}")
     fields = list(map(str, info["fields"]))
     for column in filter(None, columns):
         if column not in fields:

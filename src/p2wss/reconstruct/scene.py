@@ -332,6 +332,7 @@ def _reconstruct(
             schema=settings.footprint_schema,
             height_field=settings.height_field or None,
             metric=inputs.metric,
+            layer=settings.footprint_layer,
         )
     log.debug("%d footprints read", len(features))
     features = cleaned(features, config)

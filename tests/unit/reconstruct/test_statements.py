@@ -113,6 +113,17 @@ def test_layers_endings_and_ids_of_ways(tmp_path: Path) -> None:
     assert set(built(cloud, tmp_path / "f.data")) == {"5001", "77"}
 
 
+def test_a_layer_by_name(tmp_path: Path) -> None:
+    path, cloud = tmp_path / "f.gpkg", houses.write_cloud(tmp_path / "c.laz")
+    houses.footprints().iloc[:1].to_file(path, layer="old")
+    houses.footprints().to_file(path, layer="new")
+    config = {"reconstruct": {"footprint_layer": "new", "registration": "never"}}
+    assert_right(built(cloud, path, config=config))
+    config["reconstruct"]["footprint_layer"] = "newest"
+    with pytest.raises(InputError, match=r"f\.gpkg: has no layer newest; its layers are old, new"):
+        built(cloud, path, config=config)
+
+
 def test_solids_without_faces_or_shells_are_not_valid(tmp_path: Path) -> None:
     start = (
         '{"type": "CityJSON", "version": "2.0", "transform": {"scale": [1, 1, 1], "translate": [0, 0, 0]},'
