@@ -26,7 +26,6 @@ from p2wss.data import polygon_arrays, reasons
 from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, grown
-from p2wss.footprints.cleaning import read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import Body, frame_around
@@ -38,7 +37,7 @@ from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, run
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.failures import Failures
-from p2wss.reconstruct.inputs import Inputs, read_outlines
+from p2wss.reconstruct.inputs import Inputs, read_features, read_outlines
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
@@ -325,15 +324,7 @@ def _reconstruct(
     if inputs.footprints is None:
         outline_cloud, features = read_outlines(inputs, config)
     else:
-        features = read_footprints(
-            inputs.footprints,
-            settings.id_field or None,
-            needs_crs=False,
-            schema=settings.footprint_schema,
-            height_field=settings.height_field or None,
-            metric=inputs.metric,
-            layer=settings.footprint_layer,
-        )
+        features = read_features(inputs, settings)
     log.debug("%d footprints read", len(features))
     features = cleaned(features, config)
     log.debug("%d footprints cleaned", len(features))
