@@ -210,6 +210,24 @@ def test_unstated_feet_are_doubted_where_houses_are_slender(
     assert not [record for record in caplog.records if record.levelname == "WARNING"]
 
 
+def test_stated_feet_are_doubted_where_houses_are_low(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", UTM, stated=houses.header(keys={3072: 26910, 4099: 9002}))
+    built(cloud, houses.footprints(UTM))
+    assert "houses are 2.0 m high, as if heights were in m; state --height-unit m" in caplog.text
+
+
+def test_a_terrain_of_stated_unit_that_is_far_from_the_points_is_doubted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz")
+    terrain = houses.write_terrain(tmp_path / "t.tif", (houses.heights_m() + 46).astype(np.float32))
+    config = {"reconstruct": {"terrain_unit": "m", "registration": "never"}}
+    assert_right(built(cloud, houses.footprints(), terrain=terrain, config=config))
+    assert "its heights are +46.0 m from the ground of the points" in caplog.text
+
+
 def test_a_cloud_and_a_terrain_in_mercator(tmp_path: Path) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", crs="EPSG:3857")
     here = houses.write_terrain(tmp_path / "t.tif", houses.heights_m().astype(np.float32))
