@@ -123,15 +123,16 @@ def evaluate(
     *,
     crs: str | None = None,
     id_field: str | None = None,
+    height_unit: str = "",
 ) -> pd.DataFrame:
     """How far the points of each building are from its mesh, with one row per footprint.
 
     buildings: a scene, or a CityJSON file of any program. id_field: column of the footprints with the ids of the
-    buildings. Columns: see :func:`p2wss.eval.files.evaluate`.
+    buildings. crs, height_unit: of the clouds, whatever they state. Columns: see :func:`p2wss.eval.files.evaluate`.
     """
     from p2wss.eval import files
 
-    return files.evaluate(buildings, footprints, clouds, crs=crs, id_field=id_field)
+    return files.evaluate(buildings, footprints, clouds, crs=crs, id_field=id_field, height_unit=height_unit)
 
 
 def outlines(

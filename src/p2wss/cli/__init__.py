@@ -33,7 +33,7 @@ COMMANDS = {
         "outlines": "derive building outlines from LiDAR, without footprints",
         "evaluate": "measure the buildings of a CityJSON file of any program against LiDAR",
         "check": "validate the solids of CityJSON files",
-        "inspect": "describe the contents of files",
+        "inspect": "describe the contents of files, or the inputs of a run",
         "config": "print every setting with its default",
         "workflow": "begin a project of the Snakemake workflow",
         "doctor": "show what is installed, and what is missing for what",

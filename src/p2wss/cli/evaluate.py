@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import clouds_argument, crs_option
-from p2wss.cli.parser import PATH, Command, option
+from p2wss.cli.common import clouds_argument, config_option, crs_option
+from p2wss.cli.parser import PATH, Command, option, setting
+from p2wss.config import Config
 from p2wss.storage import files
 
 
@@ -16,7 +17,10 @@ from p2wss.storage import files
 @click.argument("footprints", type=PATH, metavar="FOOTPRINTS", help="vector file with a polygon per building")
 @clouds_argument
 @option("--id-field", metavar="COLUMN", help="column of FOOTPRINTS with the ids (default: recognised)")
+@setting("reconstruct.footprint_layer", "--layer", metavar="NAME")
 @crs_option
+@setting("reconstruct.height_unit")
+@config_option
 @option("--csv", type=PATH, help="CSV to write: one row per building")
 def evaluate(
     file: Path,
@@ -24,6 +28,7 @@ def evaluate(
     clouds: tuple[Path, ...],
     id_field: str | None,
     crs: str | None,
+    config: Config,
     csv: Path | None,
 ) -> None:
     """Measure the buildings of a CityJSON file of any program against LiDAR.
@@ -32,7 +37,16 @@ def evaluate(
     """
     from p2wss.eval.files import evaluate, summary
 
-    table = evaluate(file, footprints, clouds, id_field=id_field, crs=crs)
+    settings = config.reconstruct
+    table = evaluate(
+        file,
+        footprints,
+        clouds,
+        id_field=id_field,
+        crs=crs,
+        height_unit=settings.height_unit,
+        layer=settings.footprint_layer,
+    )
     if csv is not None:
         files.write_text(csv, table.to_csv(float_format="%.4f", lineterminator="\n"))
     counts = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,18 @@ def describe(path: Path) -> Facts:
     with reading(path, f"readable as {Path(name).suffix}, or truncated"):
         facts = {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
     return facts | {"checksum": check(path)["checksum"]}
+
+
+def inputs_of_run(paths: Sequence[Path]) -> tuple[list[Path], Path, Path | None] | None:
+    """(clouds, footprints, terrain or None) if these files are inputs of one run, in that order; else None."""
+    is_cloud = [path.is_dir() or path.name.lower().endswith(_CLOUDS) for path in paths]
+    num_clouds = next((k for k, each in enumerate(is_cloud) if not each), len(paths))
+    rest = list(paths[num_clouds:])
+    is_raster = [path.name.lower().endswith(_RASTERS) for path in rest]
+    is_other = bool(rest) and rest[0].name.lower().endswith(_NO_FOOTPRINTS)
+    if not num_clouds or is_raster not in ([False], [False, True]) or is_other:
+        return None
+    return list(paths[:num_clouds]), rest[0], rest[1] if len(rest) > 1 else None
 
 
 def text(facts: Facts) -> str:
@@ -287,11 +299,13 @@ def _city(parts: list[Facts]) -> Facts:
     }
 
 
+_RASTERS, _CLOUDS = (".tif", ".tiff", ".asc", ".vrt"), (".laz", ".las")
+_NO_FOOTPRINTS = (".safetensors", ".glb", ".jsonl", ".city.json")
 _READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
     ((".parquet",), _parquet),
     ((".gpkg", ".shp", ".geojson", ".fgb"), _vector),
-    ((".tif", ".tiff", ".asc", ".vrt"), _raster),
-    ((".laz", ".las"), _cloud),
+    (_RASTERS, _raster),
+    (_CLOUDS, _cloud),
     ((".safetensors",), _weights),
     ((".glb",), _glb),
     ((".jsonl",), _json_lines),

@@ -25,7 +25,15 @@ from p2wss.config import Config, DeviceName
 from p2wss.storage import files
 
 # settings of FOOTPRINTS, and --tile, which selects some of them
-OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field", "keep_columns", "tile")
+OF_FOOTPRINTS = (
+    "registration",
+    "layer",
+    "footprint_schema",
+    "id_field",
+    "height_field",
+    "keep_columns",
+    "tile",
+)
 
 
 @click.command(cls=Command)
@@ -77,6 +85,7 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 @setting("reconstruct.max_triangles", type=int, default="", metavar="N")
 @setting("reconstruct.height_unit")
 @setting("reconstruct.terrain_unit")
+@setting("reconstruct.footprint_layer", "--layer", metavar="NAME")
 @setting("reconstruct.footprint_schema")
 @setting("reconstruct.id_field", metavar="COLUMN")
 @setting("reconstruct.height_field", metavar="COLUMN")

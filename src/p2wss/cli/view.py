@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import log
-from p2wss.cli.parser import PATH, Command, option
+from p2wss.cli.common import config_option, crs_option, log
+from p2wss.cli.parser import PATH, Command, option, setting
+from p2wss.config import Config
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 
@@ -22,11 +23,14 @@ CITY = (".json", ".jsonl")
     nargs=-1,
     required=True,
     metavar="FOLDER|FILE .. [CLOUD ..]",
-    help="folder of a run, or CityJSON files of any program, which are compared; then clouds in the same CRS",
+    help="folder of a run, or CityJSON files of any program, which are compared; then clouds of the same place",
 )
 @option("--out", type=PATH, help="page to write (default: view.html beside the first file)")
 @option("--open", "opens", is_flag=True, help="open the page in the browser")
-def view(paths: tuple[Path, ...], out: Path | None, opens: bool) -> None:
+@crs_option
+@setting("reconstruct.height_unit")
+@config_option
+def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None, config: Config) -> None:
     """Show buildings in 3D with points and attributes: one HTML page that needs no internet."""
     cities, clouds = [], []
     for path in paths:
@@ -42,16 +46,16 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool) -> None:
         page = of_run  # with the points, and how footprints were moved
     else:
         page = out or cities[0].with_name("view.html")
-        files.write_text(page, _page(cities, clouds))
+        files.write_text(page, _page(cities, clouds, crs, config.reconstruct.height_unit))
     log.info("open %s in a browser", page)
     if opens:
         webbrowser.open(page.resolve().as_uri())
 
 
-def _page(cities: list[Path], clouds: list[Path]) -> str:
+def _page(cities: list[Path], clouds: list[Path], crs: str | None, height_unit: str) -> str:
     import p2wss
     from p2wss.data.crs import check_crs
-    from p2wss.reconstruct.inputs import open_clouds, read_cloud
+    from p2wss.reconstruct.inputs import read_cloud_of
     from p2wss.reconstruct.page import page_of_scenes
 
     names = {
@@ -59,8 +63,12 @@ def _page(cities: list[Path], clouds: list[Path]) -> str:
         for path in cities
     }
     scenes = {name: p2wss.read(path) for name, path in names.items()}
-    cloud = read_cloud(*open_clouds(clouds)) if clouds else None
-    crs = next(iter(scenes.values())).crs
-    if cloud is not None and crs is not None:
-        check_crs(cloud.crs, crs, clouds[0], f"{cities[0]} is", "reproject one of them")
+    first = next(iter(scenes.values()))
+    for path, scene in zip(cities, scenes.values(), strict=True):
+        check_crs(scene.crs, first.crs, path, f"{cities[0]} is", "reproject one of them")
+    if not clouds:
+        return page_of_scenes(", ".join(names), scenes, None)
+    cloud, conversion = read_cloud_of(first.crs, first.bounds, str(cities[0]), clouds, crs, height_unit)
+    if conversion is not None:
+        scenes = {name: scene.converted(conversion) for name, scene in scenes.items()}
     return page_of_scenes(", ".join(names), scenes, cloud)

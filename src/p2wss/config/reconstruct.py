@@ -130,6 +130,7 @@ class Reconstruct(Section):
         "max_triangles": None,
         "max_failed_fraction": 0.2,
         "strict": False,
+        "footprint_layer": "",
         "height_unit": "",
         "terrain_unit": "",
     }
@@ -137,6 +138,9 @@ class Reconstruct(Section):
         "auto",
         description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
         "recognise it from the columns",
+    )
+    footprint_layer: str = Field(
+        "", description="layer of the file of footprints; '' = the first with polygons"
     )
     id_field: str = Field("", description="column with building ids; '' = that of footprint_schema")
     height_field: str = Field(

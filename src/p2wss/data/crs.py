@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
     from p2wss.data.terrain import Terrain
+    from p2wss.mesh import Mesh
 
 # a transformation that is less accurate moves footprints visibly
 _ACCURATE_M = 0.5
@@ -71,6 +73,10 @@ class MetricCrs:
         else:
             x_m, y_m = x * self.horizontal_m, y * self.horizontal_m
         return x_m, y_m, z * self.vertical_m
+
+    def mesh(self, mesh: Mesh) -> Mesh:
+        """A mesh in the CRS of the run, of one in the units of the source."""
+        return replace(mesh, vertex_m=np.column_stack(self.points(*mesh.vertex_m.T)))
 
     def unstated_m(self, terrain_crs: pyproj.CRS) -> float:
         """Length of the unit of heights of a raster that does not state it: that of the clouds in their CRS, else that
@@ -216,12 +222,18 @@ def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
+@lru_cache(maxsize=256)
+def epsg_of(wkt: str, min_confidence: int) -> int | None:
+    """The code of a CRS, for which PROJ searches its database for a tenth of a second or so."""
+    return pyproj.CRS.from_wkt(wkt).to_epsg(min_confidence=min_confidence)
+
+
 def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
     """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored."""
     a, b = horizontal(first), horizontal(second)
     if a.equals(b, ignore_axis_order=True):
         return True
-    codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
+    codes = epsg_of(a.to_wkt(), 70), epsg_of(b.to_wkt(), 70)
     return codes[0] is not None and codes[0] == codes[1]
 
 
@@ -284,7 +296,7 @@ def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
     stated.pop("id", None)
     stated["name"] = f"{crs.name} (metres)"
     result = pyproj.CRS.from_json_dict(stated)
-    code = result.to_epsg(min_confidence=60)
+    code = epsg_of(result.to_wkt(), 60)
     if code is None or not crs.is_projected:
         return result
     known = pyproj.CRS.from_epsg(code)
@@ -310,11 +322,18 @@ def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
         raise InputError(
             f"{name}: is in {crs.name}, in degrees, but its bounds are not; state its CRS with --crs"
         )
-    area = pyproj.aoi.AreaOfInterest(x_min, y_min, x_max, y_max)
-    zones = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
-    if not zones:
+    code = _zone(x_min, y_min, x_max, y_max)
+    if code is None:
         raise InputError(f"{name}: is in {crs.name}, outside all UTM zones; reproject it")
-    return int(zones[0].code)
+    return code
+
+
+@lru_cache(maxsize=256)
+def _zone(west: float, south: float, east: float, north: float) -> int | None:
+    """The EPSG code of the first zone of UTM (WGS 84) that bounds in degrees meet."""
+    area = pyproj.aoi.AreaOfInterest(west, south, east, north)
+    zones = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
+    return int(zones[0].code) if zones else None
 
 
 def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: str | Path) -> np.ndarray:

@@ -29,9 +29,10 @@ from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas
-from p2wss.reconstruct.inputs import CloudInput, open_clouds, read_cloud
-from p2wss.reconstruct.scene import Scene
+from p2wss.reconstruct.inputs import CloudInput, read_cloud_of
+from p2wss.reconstruct.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.errors import reading
 from p2wss.storage.features import Features
 
 # points up to this distance from the footprint are of the building
@@ -52,13 +53,18 @@ def evaluate(
     *,
     id_field: str | None = None,
     crs: str | None = None,
+    height_unit: str = "",
+    layer: str = "",
     seed: int = 0,
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
 
-    buildings: a CityJSON file or text sequence, a scene, or solids, in the CRS of the clouds. A building is that of the
+    buildings: a CityJSON file or text sequence, a scene, or solids; in the CRS that a run on the clouds has, if they
+    state none. Clouds are read as :func:`p2wss.reconstruct` reads them: measures are in metres, whatever the units of
+    files. A building is that of the
     footprint whose id is its name or its attribute ``id_field``, or else of the one that it overlaps most. id_field:
-    column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none.
+    column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none. height_unit: of the
+    heights of clouds, whatever they state. layer: of the footprints.
 
     Columns: ``status`` (``ok``, ``no mesh`` or ``too few points``, then without measures); ``num_points`` up to 1 m
     from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
@@ -66,12 +72,13 @@ def evaluate(
     ``points_to_mesh_m``, the mean distance of the latter points to 40,000 samples of the mesh; ``num_triangles``;
     ``is_watertight``. Raises :class:`InputError` for a file that is missing or broken.
     """
-    cloud = read_cloud(*open_clouds(clouds))
-    frame = _footprints(footprints, id_field, cloud.crs or (crs and pyproj.CRS.from_user_input(crs)))
-    if isinstance(buildings, str | Path):
-        solids = cityjson_read.read(buildings)
-    else:
-        solids = _solids(buildings) if isinstance(buildings, Scene) else list(buildings)
+    solids, scene_crs = _solids(buildings)
+    name = str(buildings) if isinstance(buildings, str | Path) else "buildings"
+    bounds = bounds_of([each.mesh for each in solids])
+    cloud, conversion = read_cloud_of(scene_crs, bounds, name, clouds, crs, height_unit)
+    if conversion is not None:
+        solids = [replace(each, mesh=conversion.mesh(each.mesh)) for each in solids]
+    frame = _footprints(footprints, id_field, cloud.crs, layer)
     by_id = _matched(solids, frame.geometry, id_field)
     parts = frame.geometry.explode()
     point, inside, offset = crop_points(
@@ -99,12 +106,12 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _footprints(
-    footprints: str | Path | gpd.GeoDataFrame, id_field: str | None, crs: pyproj.CRS | None
+    footprints: str | Path | gpd.GeoDataFrame, id_field: str | None, crs: pyproj.CRS | None, layer: str
 ) -> gpd.GeoDataFrame:
     """The polygons by id, in the CRS of the clouds if both are known."""
     name = footprints if isinstance(footprints, str | Path) else "footprints"
     if isinstance(footprints, str | Path):
-        features, number = read_vector(footprints)
+        features, number = read_vector(footprints, None, layer)
     else:
         features, number = Features.of(footprints), footprints.index.to_numpy()
     names = building_ids(features.columns, number, schema_of(features.columns), id_field, name)
@@ -115,8 +122,23 @@ def _footprints(
     return frame[~frame.geometry.is_empty & frame.geom_type.isin(("Polygon", "MultiPolygon"))]
 
 
-def _solids(scene: Scene) -> list[ReadSolid]:
-    return [ReadSolid(each.building_id, each.solid, {}) for each in scene.values() if each.solid is not None]
+def _solids(
+    buildings: str | Path | Scene | Sequence[ReadSolid],
+) -> tuple[Sequence[ReadSolid], pyproj.CRS | None]:
+    """(the solids of buildings, their CRS if it is stated)."""
+    if isinstance(buildings, str | Path):
+        objects, stated = cityjson_read.read_city(buildings)
+        with reading(buildings, "CityJSON"):
+            crs = None if stated is None else pyproj.CRS.from_user_input(stated)
+        return [each for each in objects if each.is_building], crs
+    if isinstance(buildings, Scene):
+        solids = [
+            ReadSolid(each.building_id, each.solid, {})
+            for each in buildings.values()
+            if each.solid is not None
+        ]
+        return solids, buildings.crs
+    return buildings, None
 
 
 def _matched(

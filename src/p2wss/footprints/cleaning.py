@@ -47,6 +47,7 @@ def read_footprints(
     schema: str = "auto",
     height_field: str | None = None,
     metric: MetricCrs | None = None,
+    layer: str = "",
 ) -> Features:
     """Read a vector file with polygons, in the order of the file, or take those of a table, and add the columns
     ``building_id`` (text), ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
@@ -55,13 +56,13 @@ def read_footprints(
     ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.footprints.schemas.
     stated_heights_m`). bounds: read only features that intersect this window, in the CRS of the file. needs_crs:
     whether a missing CRS is an error. metric: the CRS to which footprints are reprojected; those without a CRS are
-    taken to be in that of the clouds.
+    taken to be in that of the clouds. layer: of the file; "" is the first with polygons.
 
     Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS, or one in degrees without
     ``metric``, or if ``id_field`` or ``height_field`` is missing.
     """
     if isinstance(path, str | Path):
-        features, number = read_vector(path, bounds)
+        features, number = read_vector(path, bounds, layer)
     else:
         features, number, path = Features.of(path), np.arange(len(path)), "footprints"
     types = shapely.get_type_id(features.geometry)
@@ -76,7 +77,7 @@ def read_footprints(
     of_ids: tuple[Mapping[str, np.ndarray], np.ndarray] = features.columns, number
     if bounds is not None:
         names = [name for name in features.columns if name == id_field or name.lower() in columns.ids]
-        of_ids = read_attributes(path, tuple(names)) if names else of_ids
+        of_ids = read_attributes(path, tuple(names), layer) if names else of_ids
     all_ids = building_ids(*of_ids, columns, id_field, path)
     taken, by_number = taken_part_numbers(all_ids), dict(zip(of_ids[1].tolist(), all_ids, strict=True))
     ids = [by_number[each] for each in number.tolist()]

@@ -27,17 +27,24 @@ _KIND = "a readable vector file"
 _POINT, _LINE, _POLYGON = 1, 2, 3
 
 
-def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Features, np.ndarray]:
-    """(the features of the first layer with polygons, in the order of the file, the number of each in the file).
+def read_vector(
+    path: str | Path, bounds: Bounds | None = None, layer: str = ""
+) -> tuple[Features, np.ndarray]:
+    """(the features of a layer, in the order of the file, the number of each in the file).
 
-    bounds: only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of
-    a TIN, the faces of a polyhedral surface a multipolygon. Times are text.
+    layer: its name; "" is the first that may have polygons, with a note if there are others. bounds: only features that
+    intersect this window, in the CRS of the file. Curves become lines, and the triangles of a TIN, the faces of a
+    polyhedral surface a multipolygon. Times are text.
 
-    Raises :class:`InputError` if the file is missing or broken, or has no geometry.
+    Raises :class:`InputError` if the file is missing or broken, or has no geometry or no layer of this name.
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
     integrity.verify(path)
+    chosen, others = _layer(path, layer)
+    if others and not layer:
+        text = "note: %s: layer %s, the first that may have polygons, is read; --layer reads another: %s"
+        log.info(text, path, chosen, ", ".join(others))
     with reading(path, _KIND):
         if _is_parquet(path):
             import geopandas as gpd
@@ -49,14 +56,8 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> tuple[Feature
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
-        layer = _layer(path)
-        if layer is not None:
-            names = [name for name, _ in pyogrio.list_layers(path).tolist() if name != layer]
-            log.info(
-                "note: %s: layer %s, the first with polygons, is read; not %s", path, layer, ", ".join(names)
-            )
         meta, number, wkb, values = pyogrio.raw.read(
-            path, layer=layer, bbox=bounds, return_fids=True, datetime_as_string=True
+            path, layer=chosen, bbox=bounds, return_fids=True, datetime_as_string=True
         )
     if wkb is None:
         raise InputError(f"{path}: has no geometry")
@@ -79,22 +80,40 @@ def _is_parquet(path: str | Path) -> bool:
         return file.read(4) == b"PAR1"
 
 
-def _layer(path: str | Path) -> str | None:
-    """The first layer with polygons; None for the first of all, if there is none or only one layer."""
-    layers = pyogrio.list_layers(path).tolist()
-    with_polygons = [name for name, kind in layers if kind and ("Polygon" in kind or "Surface" in kind)]
-    return with_polygons[0] if len(layers) > 1 and with_polygons else None
-
-
-def layer_info(path: Path) -> dict[str, Any]:
-    """What a file states of the layer that is read, without reading the features: ``features`` (their number),
-    ``geometry_type`` (None without geometry), ``fields`` and ``crs``. Raises :class:`InputError` if it is broken."""
+def _layer(path: str | Path, stated: str) -> tuple[str | None, list[str]]:
+    """(the layer to read, the names of the others): the one that is stated, else the first that may have polygons, else
+    the first; None for a file without layers. Raises :class:`InputError` if there is no layer of the stated name."""
     if _is_parquet(path):  # GDAL may come without its driver for Parquet
-        return _geoparquet_info(path)
-    with reading(path, _KIND), warnings.catch_warnings():
-        # several layers are reported when the file is read
-        warnings.simplefilter("ignore")
-        return dict(pyogrio.read_info(path, layer=_layer(path)))
+        if stated:
+            raise InputError(f"{path}: has no layers; omit --layer")
+        return None, []
+    with reading(path, _KIND):
+        layers = pyogrio.list_layers(path).tolist()
+    names = [str(name) for name, _ in layers]
+    if stated and stated not in names:
+        raise InputError(f"{path}: has no layer {stated}; its layers are {', '.join(names)}")
+    # a layer of any geometries, as databases have them, only where none states polygons
+    of_kinds = [
+        [str(name) for name, kind in layers if kind and any(each in kind for each in kinds)]
+        for kinds in (("Polygon", "Surface"), ("Unknown", "Collection"))
+    ]
+    chosen = stated or next((each[0] for each in [*of_kinds, names] if each), None)
+    return chosen, [name for name in names if name != chosen]
+
+
+def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
+    """What a file states of the layer that is read (as by :func:`read_vector`), without reading the features:
+    ``features`` (their number), ``geometry_type`` (None without geometry), ``fields``, ``crs``, ``layer`` and
+    ``other_layers``. Raises :class:`InputError` if it is broken."""
+    chosen, others = _layer(path, layer)
+    if _is_parquet(path):
+        info = _geoparquet_info(path)
+    else:
+        with reading(path, _KIND), warnings.catch_warnings():
+            # several layers are reported when the file is read
+            warnings.simplefilter("ignore")
+            info = dict(pyogrio.read_info(path, layer=chosen))
+    return info | {"layer": chosen, "other_layers": others}
 
 
 def _geoparquet_info(path: Path) -> dict[str, Any]:
@@ -115,14 +134,16 @@ def _geoparquet_info(path: Path) -> dict[str, Any]:
     }
 
 
-def read_attributes(path: str | Path, columns: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """(these columns of all features, the number of each in the file)."""
-    return _attributes(str(path), Path(path).stat().st_mtime_ns, columns)
+def read_attributes(
+    path: str | Path, columns: tuple[str, ...], layer: str = ""
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """(these columns of all features of a layer, the number of each in the file)."""
+    return _attributes(str(path), Path(path).stat().st_mtime_ns, columns, layer)
 
 
 @lru_cache(maxsize=2)
 def _attributes(
-    path: str, changed_ns: int, columns: tuple[str, ...]
+    path: str, changed_ns: int, columns: tuple[str, ...], layer: str
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     if _is_parquet(path):
         import pandas as pd
@@ -131,7 +152,7 @@ def _attributes(
         return columns_of(frame), np.arange(len(frame))
     meta, number, _, values = pyogrio.raw.read(
         path,
-        layer=_layer(path),
+        layer=_layer(path, layer)[0],
         columns=list(columns),
         read_geometry=False,
         return_fids=True,

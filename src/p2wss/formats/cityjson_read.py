@@ -62,13 +62,15 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], str | None]:
 @dataclass(frozen=True)
 class Shell:
     """A shell of a solid in a file. name: of the city object. number: of the shell; 0 is the outer one. vertex_m:
-    float64 (v, 3). surfaces: its polygons."""
+    float64 (v, 3). surfaces: its polygons. composite: number of its geometry in the city object if that is a composite,
+    whose solids may not overlap; None otherwise."""
 
     name: str
     lod: str
     number: int
     vertex_m: np.ndarray
     surfaces: Sequence[Surface]
+    composite: int | None = None
 
 
 def shells(path: str | Path) -> Iterator[Shell]:
@@ -85,8 +87,9 @@ def shells(path: str | Path) -> Iterator[Shell]:
 
 def _shells(document: dict[str, Any], vertex_m: np.ndarray) -> Iterator[Shell]:
     for name, city_object in document.get("CityObjects", {}).items():
-        for geometry in city_object.get("geometry", []):
+        for place, geometry in enumerate(city_object.get("geometry", [])):
             boundaries = geometry.get("boundaries", [])
+            composite = place if geometry["type"] == "CompositeSolid" else None
             solids = {"Solid": [boundaries], "MultiSolid": boundaries, "CompositeSolid": boundaries}
             for solid in solids.get(geometry["type"], []):
                 for number, shell in enumerate(solid or [[]]):  # one without shells is not valid either
@@ -94,7 +97,7 @@ def _shells(document: dict[str, Any], vertex_m: np.ndarray) -> Iterator[Shell]:
                         Surface(FaceKind.WALL, -1, [_ring(ring, vertex_m) for ring in rings])
                         for rings in shell
                     ]
-                    yield Shell(name, str(geometry.get("lod", "")), number, vertex_m, surfaces)
+                    yield Shell(name, str(geometry.get("lod", "")), number, vertex_m, surfaces, composite)
 
 
 def _ring(indices: Sequence[int], vertex_m: np.ndarray) -> np.ndarray:

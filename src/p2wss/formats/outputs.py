@@ -25,6 +25,11 @@ class FileOptions:
     map_cell_m: float = 2.0
 
 
+def _library(stem: str) -> str:
+    """Name of the file of materials beside an OBJ file, which may name several, with blanks between them."""
+    return f"{'_'.join(stem.split())}.mtl"
+
+
 # contents by the names of the files, relative to the folder of the output and with "/", in the order of writing: the
 # file that a reader opens comes last, when those that it names exist
 Writer = Callable[[Sequence[Body], Frame, FileOptions], dict[str, bytes]]
@@ -33,8 +38,8 @@ Writer = Callable[[Sequence[Body], Frame, FileOptions], dict[str, bytes]]
 MESH_WRITERS: dict[str, Writer] = {
     "glb": lambda bodies, frame, options: {f"{options.stem}.glb": glb(bodies, frame, dict(options.facts))},
     "obj": lambda bodies, frame, options: {
-        f"{options.stem}.mtl": mtl(bodies),
-        f"{options.stem}.obj": obj(bodies, frame, f"{options.stem}.mtl"),
+        _library(options.stem): mtl(bodies),
+        f"{options.stem}.obj": obj(bodies, frame, _library(options.stem)),
     },
     "ply": lambda bodies, frame, options: {f"{options.stem}.ply": ply(bodies, frame)},
     "stl": lambda bodies, frame, options: {f"{options.stem}.stl": stl(bodies, frame)},

@@ -37,6 +37,7 @@ MEANINGS: dict[int, str] = {
     306: "faces of the shell touch or cross each other",
     307: "faces of the shell are oriented differently from their neighbours",
     405: "the shell is inside out",
+    501: "solids of a composite overlap",
 }
 
 

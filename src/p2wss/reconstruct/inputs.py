@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,12 +15,13 @@ import pyproj
 
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
-from p2wss.config import Config
-from p2wss.data.crs import MetricCrs, common_crs, metric_crs
+from p2wss.config import Config, Reconstruct
+from p2wss.data.crs import MetricCrs, check_crs, common_crs, metric_crs, same_crs
 from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
+from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -117,7 +118,7 @@ def check_inputs(
         settings = config.reconstruct
         columns = [settings.id_field, settings.height_field]
         columns += [name for name in settings.keep_columns if name != "all"]
-        footprints_crs = _check_footprints(footprints, columns, may_be_empty)
+        footprints_crs = _check_footprints(footprints, columns, may_be_empty, settings.footprint_layer)
         names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
     for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
         log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
@@ -156,6 +157,55 @@ def _metric(
 def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: ClassSet = LAS) -> Cloud:
     """All points, in the CRS of the clouds. The arguments are those that :func:`open_clouds` returns."""
     return points or reading.read_clouds([header.path for header in headers], None, classes)
+
+
+def read_cloud_of(
+    scene: pyproj.CRS | None,
+    bounds: Bounds | None,
+    name: str,
+    clouds: CloudInput,
+    crs: str | None = None,
+    height_unit: str = "",
+) -> tuple[Cloud, MetricCrs | None]:
+    """(all points in metres in the CRS of buildings from a file, what converts these buildings into it).
+
+    scene: the CRS of the buildings; None takes them to be in the CRS and the units that a run on the clouds has.
+    bounds: of the buildings. name: of their file. crs, height_unit: of the clouds, as the user states them. The
+    conversion is None where buildings remain as they are. Raises :class:`InputError` for clouds of another CRS.
+    """
+    headers, points = open_clouds(clouds)
+    header = reading.common_header(headers) or headers[0]
+    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+        log.warning("warning: %s: %s", header.path, doubt)
+    cloud = read_cloud(headers, points)
+    if header.crs is None and crs is None and scene is None:
+        return cloud, None
+    source, note = common_crs(header.crs, scene, crs, (str(header.path), name), header.bounds)
+    metric, note_of_units = _metric(source, headers, points, height_unit)
+    for text in filter(None, (note, note_of_units)):
+        log.info("note: %s", text)
+    if scene is None:
+        return cloud.in_metres(metric), None
+    of_scene, _ = metric_crs(scene, bounds, name)
+    if metric.horizontal_m is None and not same_crs(metric.crs, of_scene.crs):
+        metric = replace(metric, crs=of_scene.crs)  # another zone than the clouds alone would be in
+    check_crs(metric.crs, of_scene.crs, header.path, f"{name} is", "reproject one of them")
+    return cloud.in_metres(metric), None if of_scene.is_source else of_scene
+
+
+def read_features(inputs: Inputs, settings: Reconstruct) -> Features:
+    """The footprints of a run, in its CRS, not cleaned yet."""
+    if inputs.footprints is None:
+        raise ValueError("a run without footprints")
+    return read_footprints(
+        inputs.footprints,
+        settings.id_field or None,
+        needs_crs=False,
+        schema=settings.footprint_schema,
+        height_field=settings.height_field or None,
+        metric=inputs.metric,
+        layer=settings.footprint_layer,
+    )
 
 
 def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
@@ -216,11 +266,11 @@ def _in_memory(cloud: np.ndarray | laspy.LasData | Cloud) -> Cloud:
 
 
 def _check_footprints(
-    footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool
+    footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool, layer: str
 ) -> pyproj.CRS | None:
     """The CRS of the footprints, if it is stated. Raises :class:`InputError` if these cannot be footprints."""
     if isinstance(footprints, Path):
-        name, info = footprints, vector_files.layer_info(footprints)
+        name, info = footprints, vector_files.layer_info(footprints, layer)
     else:
         name = _FOOTPRINTS
         info = {
@@ -237,7 +287,10 @@ def _check_footprints(
     if info["features"] and not any(
         kind in geometry for kind in ("Polygon", "Surface", "Collection", "Unknown")
     ):
-        raise InputError(f"{name}: has no polygons; footprints must be polygons")
+        others = (
+            f"; its other layers are {', '.join(info['other_layers'])}" if info.get("other_layers") else ""
+        )
+        raise InputError(f"{name}: has no polygons; footprints must be polygons{others}")
     fields = list(map(str, info["fields"]))
     for column in filter(None, columns):
         if column not in fields:

@@ -39,6 +39,8 @@ _LEFT_SHARE, _LEFT_M = 0.02, 2.0
 _FEET_RATIO = (2.4, 4.4)
 # houses of which the median is higher, and so many times as high as they are wide, are drawn in feet
 _SLENDER, _HIGH_M = 1.6, 12.0
+# houses of which the median is lower, by heights in feet, are drawn in metres
+_LOW_M = 2.3
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,13 @@ def sample_of(
 def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -> None:
     """Raise :class:`InputError` for heights that contradict each other by a factor or an offset, unless the user states
     their unit; warn where they are doubtful. height_unit, terrain_unit: that the user states, or ""."""
-    if inputs.terrain is not None and not terrain_unit:
-        check_terrain(sample, str(inputs.terrain[1]))
+    if inputs.terrain is not None:
+        try:
+            check_terrain(sample, str(inputs.terrain[1]))
+        except InputError as error:
+            if not terrain_unit:
+                raise
+            log.warning("warning: %s", str(error).split(";")[0])
     if not height_unit:
         is_stated = vertical_part(inputs.metric.source) is not None
         text = feet_instead_of_metres(sample, inputs.metric.vertical_m)
@@ -147,6 +154,10 @@ def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
     if not is_feet and is_high and np.median(slender) > _SLENDER:
         return (
             f"houses are {np.median(slender):.1f} times as high as wide, as if heights were in ft; {remedy}"
+        )
+    if is_feet and is_known.any() and np.median(sample.height_m[is_known]) < _LOW_M:
+        return (
+            f"houses are {np.median(sample.height_m[is_known]):.1f} m high, as if heights were in m; {remedy}"
         )
     return ""
 

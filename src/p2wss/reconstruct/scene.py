@@ -11,7 +11,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,9 +23,9 @@ import shapely
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import CLASSES_ALONE, Config, DeviceName, load, section_json
 from p2wss.data import polygon_arrays, reasons
+from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, grown
-from p2wss.footprints.cleaning import read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import Body, frame_around
@@ -37,7 +37,7 @@ from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, run
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.failures import Failures
-from p2wss.reconstruct.inputs import Inputs, read_outlines
+from p2wss.reconstruct.inputs import Inputs, read_features, read_outlines
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
@@ -147,6 +147,22 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
     def __repr__(self) -> str:
         return f"<Scene {self.name}: {len(self)} buildings, {'unknown CRS' if self.crs is None else self.crs.name}>"
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """x_min, y_min, x_max and y_max of all meshes, in the CRS of the scene; None without any."""
+        return bounds_of([each.solid for each in self.values() if each.solid is not None])
+
+    def converted(self, metric: MetricCrs) -> Scene:
+        """The scene of a file in ``metric.source`` with its meshes in ``metric.crs``, without footprints."""
+
+        def building(number: int) -> SceneBuilding:
+            each = self._building(number)
+            solid = None if each.solid is None else metric.mesh(each.solid)
+            return replace(each, solid=solid, footprint=None, _polygons=())
+
+        plants = [metric.mesh(plant) for plant in self.plants]
+        return Scene(list(self), building, metric.crs, self.config, self.name, plants=plants)
 
     def close(self) -> None:
         """Remove the temporary files of the run; the scene cannot be used afterwards."""
@@ -308,14 +324,7 @@ def _reconstruct(
     if inputs.footprints is None:
         outline_cloud, features = read_outlines(inputs, config)
     else:
-        features = read_footprints(
-            inputs.footprints,
-            settings.id_field or None,
-            needs_crs=False,
-            schema=settings.footprint_schema,
-            height_field=settings.height_field or None,
-            metric=inputs.metric,
-        )
+        features = read_features(inputs, settings)
     log.debug("%d footprints read", len(features))
     features = cleaned(features, config)
     log.debug("%d footprints cleaned", len(features))
@@ -400,6 +409,15 @@ def read(path: str | Path) -> Scene:
     name = path.name.split(".")[0]
     ids = [each.building_id for each in solids]
     return Scene(ids, lambda k: _of_file(solids[k]), crs, config, name, plants=plants)
+
+
+def bounds_of(meshes: Sequence[Mesh]) -> Bounds | None:
+    """x_min, y_min, x_max and y_max of meshes; None without a vertex."""
+    xy = np.concatenate([np.zeros((0, 2)), *(mesh.vertex_m[:, :2] for mesh in meshes)])
+    if not len(xy):
+        return None
+    (x_min, y_min), (x_max, y_max) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+    return x_min, y_min, x_max, y_max
 
 
 def load_network(weights: Path | None, device: DeviceName = "auto", threads: int = 1) -> Predictor | None:

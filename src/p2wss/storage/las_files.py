@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ import laspy
 
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
+from p2wss.storage.las_unchunked import UNCHUNKED, OneChunk
 
 # the phrase of messages
 KIND = "a readable LAS, LAZ or COPC file, or truncated"
@@ -30,8 +32,17 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
     ``kind``; that of a damaged file says what makes it again."""
     integrity.verify(path)
     with reading(path, kind):
-        check_header(path)
-        with laspy.open(path, **options) as reader:
+        unchunked = check_header(path)
+        if unchunked is None:
+            with laspy.open(path, **options) as reader:
+                yield reader
+            return
+        # one after the other: in parallel, a chunk is in memory as a whole
+        options["laz_backend"] = laspy.LazBackend.Lazrs
+        with (
+            io.BufferedReader(OneChunk(path, *unchunked)) as source,
+            laspy.open(source, closefd=False, **options) as reader,
+        ):
             yield reader
 
 
@@ -40,8 +51,11 @@ def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float]:
     return *header.mins[:2].tolist(), *header.maxs[:2].tolist()
 
 
-def check_header(path: str | Path) -> None:
-    """Raise ValueError for a header whose counts and offsets do not fit into the file (LAS specification 1.4-R15)."""
+def check_header(path: str | Path) -> tuple[int, int, int] | None:
+    """The arguments of :class:`OneChunk` for a file of compressed points without chunks; None for others.
+
+    Raises ValueError for a header whose counts and offsets do not fit into the file (LAS specification 1.4-R15).
+    """
     size = Path(path).stat().st_size
     with open(path, "rb") as file:
         head = file.read(_HEADER_1_4)
@@ -68,11 +82,14 @@ def check_header(path: str | Path) -> None:
             if points_at + num_points * record_size > size:
                 raise ValueError(f"its header states {num_points} points, which do not fit into the file")
         elif num_points:
-            _check_chunks(file, header_size, num_vlrs, points_at, size)
+            record_at = _check_chunks(file, header_size, num_vlrs, points_at, size)
+            return None if record_at is None else (points_at, record_at, num_points)
+    return None
 
 
-def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: int, size: int) -> None:
-    """The same for the chunks of compressed points (LAZ specification 1.4)."""
+def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: int, size: int) -> int | None:
+    """The same for the chunks of compressed points (LAZ specification 1.4); the offset of the content of LASzip's
+    record if there are none."""
     file.seek(header_size)
     for _ in range(num_vlrs):
         record = file.read(_VLR_HEADER)
@@ -82,6 +99,14 @@ def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: in
         content = file.read(length)
         if (user.rstrip(b"\0"), number) == _LASZIP and len(content) >= 16:
             compressor, chunk_points = struct.unpack_from("<H10xI", content)
+            if compressor == UNCHUNKED:
+                (num_items,) = struct.unpack_from("<H", content.ljust(34, b"\0"), 32)
+                versions = [
+                    version for _, _, version in struct.iter_unpack("<HHH", content[34:][: 6 * num_items])
+                ]
+                if len(versions) < num_items or max(versions, default=3) > 2:
+                    raise ValueError("it has no chunks, but points in a form that needs them")
+                return file.tell() - length
             if chunk_points != 0xFFFFFFFF and not 0 < chunk_points <= _MAX_CHUNK_POINTS:
                 raise ValueError(f"it states chunks of {chunk_points} points")
             if compressor not in (2, 3):
@@ -97,6 +122,7 @@ def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: in
     (num_chunks,) = struct.unpack("<I", _exactly(file, 4))
     if num_chunks > size - points_at:
         raise ValueError(f"it states {num_chunks} chunks, which do not fit into the file")
+    return None
 
 
 def _exactly(file: BinaryIO, count: int) -> bytes:

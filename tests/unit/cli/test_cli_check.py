@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import p2wss
 from p2wss import cli, skeleton
 from p2wss.formats import cityjson
 from p2wss.mesh import Mesh
@@ -78,3 +79,27 @@ def test_files_without_solids_are_errors(tmp_path: Path, capsys: pytest.CaptureF
     assert cli.main(["check", str(path)]) == 2
     assert "has no solids" in capsys.readouterr().err
     assert cli.main(["check", str(tmp_path / "missing")]) == 2
+
+
+@pytest.mark.parametrize(("east_m", "is_valid"), [(6.0, False), (12.0, True), (11.9, False), (30.0, True)])
+@pytest.mark.parametrize("kind", ["CompositeSolid", "MultiSolid"])
+def test_solids_of_a_composite_may_touch_but_not_overlap(
+    city: Path, tmp_path: Path, east_m: float, is_valid: bool, kind: str
+) -> None:
+    document: dict[str, Any] = json.loads(city.read_text(encoding="utf-8"))
+    scale = document["transform"]["scale"][0]
+    first, second = (document["CityObjects"][name]["geometry"][0] for name in "ab")
+    # the second house from 20 m to the stated distance from the first
+    moved = {index for shell in second["boundaries"] for face in shell for ring in face for index in ring}
+    for index in moved:
+        document["vertices"][index][0] += round((east_m - 20.0) / scale)
+    first["boundaries"] = [first["boundaries"], second["boundaries"]]
+    first["type"] = kind
+    first.pop("semantics", None)
+    del document["CityObjects"]["b"]
+    path = tmp_path / "composite.city.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    validity = p2wss.check(path)
+    assert validity.num_solids == 2
+    expected = [] if is_valid or kind == "MultiSolid" else [["501 solids of a composite overlap"]]
+    assert list(validity.invalid.values()) == expected

@@ -241,4 +241,25 @@ def test_of_several_layers_it_is_said_which_is_read(tmp_path: Path, caplog: pyte
     with caplog.at_level("INFO", logger="p2wss"):
         features = read_footprints(path)
     assert len(features) == 1
-    assert "layer houses, the first with polygons, is read; not trees" in caplog.text
+    assert (
+        "layer houses, the first that may have polygons, is read; --layer reads another: trees" in caplog.text
+    )
+
+
+def test_a_stated_layer_is_read_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "layers.gpkg"
+    frame(shapely.box(0, 0, 9, 9)).to_file(path, layer="houses")
+    both = frame(shapely.box(0, 0, 9, 9), shapely.box(20, 0, 29, 9))
+    both.to_file(path, layer="sheds")
+    with caplog.at_level("INFO", logger="p2wss"):
+        assert len(read_footprints(path, layer="sheds")) == 2
+        # ids do not depend on the window, nor on the layer that comes first
+        assert list(read_footprints(path, layer="sheds", bounds=(19, 0, 30, 9))["building_id"]) == [
+            list(read_footprints(path, layer="sheds")["building_id"])[1]
+        ]
+    assert "layer" not in caplog.text
+    with pytest.raises(InputError, match=r"has no layer barns; its layers are houses, sheds"):
+        read_footprints(path, layer="barns")
+    both.to_parquet(tmp_path / "f.parquet")
+    with pytest.raises(InputError, match="has no layers; omit --layer"):
+        read_footprints(tmp_path / "f.parquet", layer="sheds")

@@ -153,6 +153,16 @@ def test_materials_are_those_of_the_columns_or_of_the_settings(tmp_path: Path) -
     assert "mtllib out.mtl" in lines and (tmp_path / "out.mtl").read_text().count("newmtl") == 4
 
 
+def test_the_name_of_a_material_library_has_no_blank(results: list[Result], tmp_path: Path) -> None:
+    exports.write(tmp_path, "my old tile", results, LAMBERT, {}, Reconstruct(outputs=["obj"]))
+    (line,) = (
+        line
+        for line in (tmp_path / "my old tile.obj").read_text(encoding="utf-8").splitlines()
+        if line.startswith("mtllib")
+    )
+    assert line == "mtllib my_old_tile.mtl" and (tmp_path / "my_old_tile.mtl").is_file()
+
+
 def test_meshes_stand_in_the_terrain(results: list[Result], tmp_path: Path) -> None:
     slope = np.tile(np.linspace(0, 4, 200, dtype=np.float32), (100, 1))
     land = Terrain(slope, X - 80, Y + 50, 1.0)

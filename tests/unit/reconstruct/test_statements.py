@@ -113,6 +113,17 @@ def test_layers_endings_and_ids_of_ways(tmp_path: Path) -> None:
     assert set(built(cloud, tmp_path / "f.data")) == {"5001", "77"}
 
 
+def test_a_layer_by_name(tmp_path: Path) -> None:
+    path, cloud = tmp_path / "f.gpkg", houses.write_cloud(tmp_path / "c.laz")
+    houses.footprints().iloc[:1].to_file(path, layer="old")
+    houses.footprints().to_file(path, layer="new")
+    config = {"reconstruct": {"footprint_layer": "new", "registration": "never"}}
+    assert_right(built(cloud, path, config=config))
+    config["reconstruct"]["footprint_layer"] = "newest"
+    with pytest.raises(InputError, match=r"f\.gpkg: has no layer newest; its layers are old, new"):
+        built(cloud, path, config=config)
+
+
 def test_solids_without_faces_or_shells_are_not_valid(tmp_path: Path) -> None:
     start = (
         '{"type": "CityJSON", "version": "2.0", "transform": {"scale": [1, 1, 1], "translate": [0, 0, 0]},'
@@ -197,6 +208,24 @@ def test_unstated_feet_are_doubted_where_houses_are_slender(
     caplog.clear()
     built(houses.write_cloud(tmp_path / "d.laz", UTM), houses.footprints(UTM))
     assert not [record for record in caplog.records if record.levelname == "WARNING"]
+
+
+def test_stated_feet_are_doubted_where_houses_are_low(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", UTM, stated=houses.header(keys={3072: 26910, 4099: 9002}))
+    built(cloud, houses.footprints(UTM))
+    assert "houses are 2.0 m high, as if heights were in m; state --height-unit m" in caplog.text
+
+
+def test_a_terrain_of_stated_unit_that_is_far_from_the_points_is_doubted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz")
+    terrain = houses.write_terrain(tmp_path / "t.tif", (houses.heights_m() + 46).astype(np.float32))
+    config = {"reconstruct": {"terrain_unit": "m", "registration": "never"}}
+    assert_right(built(cloud, houses.footprints(), terrain=terrain, config=config))
+    assert "its heights are +46.0 m from the ground of the points" in caplog.text
 
 
 def test_a_cloud_and_a_terrain_in_mercator(tmp_path: Path) -> None:
