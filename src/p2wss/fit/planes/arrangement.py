@@ -19,6 +19,8 @@ from p2wss.skeleton.types import writable
 GRID_M = 1e-3
 # in these multiples: the width of columns in which places are sought
 _STRIP = 1000.0
+# the same: rounding of places that are on the border of a square
+_TOUCH = 1e-6
 # the sine of the angle between segments that cross nowhere
 _PARALLEL = 1e-9
 
@@ -173,7 +175,8 @@ def _passed(
     segment, number, num = np.empty(1024, np.int64), np.empty(1024, np.int64), 0
     at, off = np.empty(1024), np.empty(1024)
     for i in range(len(start)):
-        length, half = np.hypot(step[i, 0], step[i, 1]), (abs(along[i, 0]) + abs(along[i, 1])) / 2
+        # a segment between two rows of squares touches both
+        length, half = np.hypot(step[i, 0], step[i, 1]), (abs(along[i, 0]) + abs(along[i, 1])) / 2 + _TOUCH
         from_x = min(start[i, 0], start[i, 0] + step[i, 0]) - 1.0
         to_x = max(start[i, 0], start[i, 0] + step[i, 0]) + 1.0
         first, last = (

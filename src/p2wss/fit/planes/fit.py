@@ -26,6 +26,8 @@ from p2wss.skeleton.nearest import nearest
 
 # cubic metres: the price, beyond all others, of each side that ends in an upright edge of four walls
 _PINCH_M3 = 1e6
+# smaller savings are rounding
+_GAIN_M3 = 1e-6
 # directions of a footprint along which steps are sought, and few points show planes
 _NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
@@ -156,7 +158,7 @@ def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane:
         pair = cells.pair[sides]
         pair = pair[(pair >= 0).all(axis=1)]
         moves = [(cell, label[beside]) for cell, beside in np.vstack([pair, pair[:, ::-1]]).tolist()]
-        best_m3, best = 0.0, None
+        best_m3, best = -_GAIN_M3, None
         for cell, number in dict.fromkeys(moves):
             changed = label.copy()
             changed[cell] = number

@@ -292,6 +292,17 @@ def test_pieces_have_only_ends_in_common() -> None:
     assert shapely.touches(pieces[first], pieces[second]).all()
 
 
+def test_lines_halfway_between_places_of_the_grid_leave_no_gap() -> None:
+    """Their crossings are rounded to either side."""
+    ring = np.array([[-100.0, -64.0], [100.0, -64.0], [100.0, 64.0], [-100.0, 64.0]])
+    x_m, y_m = np.linspace(-91.687, 88.3, 40), np.array([-39.9805, 8.0275, 47.9755])
+    lines = [Line(np.array([1.0, 0.0]), x) for x in x_m.tolist()]
+    # a turn of less than a grid's place over the footprint
+    lines += [Line(np.array([1e-16, 1.0]), y, -101.995, 101.997) for y in y_m.tolist()]
+    cells = arrange([ring], lines)
+    assert len(cells.area_m2) == 41 * 4 and cells.area_m2.sum() == pytest.approx(200 * 128)
+
+
 def test_steps_go_through_the_corners_that_they_pass_by() -> None:
     """Of two wings that stand a hair askew, between their inner corners, with 3 cm between the lines of their walls."""
     ring = np.array([[0, 0], [6, 0], [6, -3], [12, -3], [12, 8], [6.03, 8], [6.03, 11], [0, 11.0]])
