@@ -21,11 +21,12 @@ from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data import reasons
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.tiling import Bounds, grown, tiles_of_points
-from p2wss.footprints.cleaning import clean_footprints, uncleaned_footprints
+from p2wss.footprints.cleaning import clean_footprints, read_footprints, uncleaned_footprints
 from p2wss.footprints.coverage import block_numbers
 from p2wss.footprints.limits import repaired
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.failures import note, surviving
+from p2wss.reconstruct.inputs import Inputs
 from p2wss.reconstruct.pipeline import Part, Rows
 from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
@@ -196,6 +197,21 @@ def _report(progress: Callable[[int], object], num_before: int, num_done: int) -
 
 def _grown(box: np.ndarray, margin_m: float) -> np.ndarray:
     return box + margin_m * np.array([-1, -1, 1, 1])
+
+
+def read_features(inputs: Inputs, settings: Reconstruct) -> Features:
+    """The footprints of a run, in its CRS, not cleaned yet."""
+    if inputs.footprints is None:
+        raise ValueError("a run without footprints")
+    return read_footprints(
+        inputs.footprints,
+        settings.id_field or None,
+        needs_crs=False,
+        schema=settings.footprint_schema,
+        height_field=settings.height_field or None,
+        metric=inputs.metric,
+        layer=settings.footprint_layer,
+    )
 
 
 def footprint_settings(config: Config) -> Scenes:

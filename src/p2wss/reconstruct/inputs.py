@@ -15,13 +15,12 @@ import pyproj
 
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
-from p2wss.config import Config, Reconstruct
+from p2wss.config import Config
 from p2wss.data.crs import MetricCrs, check_crs, common_crs, metric_crs, same_crs
 from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
-from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -191,21 +190,6 @@ def read_cloud_of(
         metric = replace(metric, crs=of_scene.crs)  # another zone than the clouds alone would be in
     check_crs(metric.crs, of_scene.crs, header.path, f"{name} is", "reproject one of them")
     return cloud.in_metres(metric), None if of_scene.is_source else of_scene
-
-
-def read_features(inputs: Inputs, settings: Reconstruct) -> Features:
-    """The footprints of a run, in its CRS, not cleaned yet."""
-    if inputs.footprints is None:
-        raise ValueError("a run without footprints")
-    return read_footprints(
-        inputs.footprints,
-        settings.id_field or None,
-        needs_crs=False,
-        schema=settings.footprint_schema,
-        height_field=settings.height_field or None,
-        metric=inputs.metric,
-        layer=settings.footprint_layer,
-    )
 
 
 def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:

@@ -18,9 +18,9 @@ from p2wss.data.las_classes import class_set
 from p2wss.data.points import stride
 from p2wss.footprints import overlaps, vector_files
 from p2wss.reconstruct import exports, plausibility, unclassified
-from p2wss.reconstruct.area import Area, cleaned
+from p2wss.reconstruct.area import Area, cleaned, read_features
 from p2wss.reconstruct.cloud_index import CloudIndex
-from p2wss.reconstruct.inputs import Inputs, read_features
+from p2wss.reconstruct.inputs import Inputs
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import vertical_part

@@ -33,11 +33,11 @@ from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
 from p2wss.reconstruct import block_skins, exports, plausibility, registration, unclassified, vegetation
-from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, run_area, window
+from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, read_features, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.failures import Failures
-from p2wss.reconstruct.inputs import Inputs, read_features, read_outlines
+from p2wss.reconstruct.inputs import Inputs, read_outlines
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
