@@ -13,6 +13,7 @@ from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.detection import heights, rows_of
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import cross
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
@@ -210,22 +211,36 @@ def _extent(xy_m: np.ndarray, other_m: np.ndarray, angle: float, settings: Drawi
 
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
     """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
-    targets = [*edges, *steps]
-    normal, offset_m = as_arrays(targets)
-    end_m = ends_of(steps)
-    middle_m = end_m.mean(axis=1)
-    is_same = np.abs(normal[len(edges) :] @ normal.T) > np.cos(np.radians(settings.same_deg / 2))
-    is_same &= np.abs(middle_m @ normal.T - offset_m) < settings.snap_m
+    targets, end_m = [*edges, *steps], ends_of(steps)
     result: dict[int, Line] = {}
-    used = list(range(len(edges)))
-    for own, (step, same) in enumerate(zip(steps, is_same.tolist(), strict=True), len(edges)):
-        number = next((each for each in used if same[each]), own)
-        if number < own:
-            result[number] = result.get(number, targets[number]).along(end_m[own - len(edges)], 0.0)
-        else:
-            used.append(own)
-            result[own] = step
+    min_along = float(np.cos(np.radians(settings.same_deg / 2)))
+    same = _first_same(*as_arrays(targets), end_m.mean(axis=1), min_along, settings.snap_m)
+    for own, (number, ends) in enumerate(zip(same.tolist(), end_m, strict=True), len(edges)):
+        line = result.get(number, targets[number])
+        result[number] = line.along(ends, 0.0) if number < own else line
     return list(result.values())
+
+
+@entry
+def _first_same(
+    normal: np.ndarray, offset_m: np.ndarray, middle_m: np.ndarray, min_along: float, snap_m: float
+) -> np.ndarray:
+    """int (s,): of each of the last lines, with these middles (s, 2), the first one along it that it is near to, of the
+    lines before these and those that are near to no other: or else itself."""
+    num_edges = len(normal) - len(middle_m)
+    used, num_used, result = np.arange(len(normal)), num_edges, np.empty(len(middle_m), np.int64)
+    for k in range(len(middle_m)):
+        own, t = num_edges + k, 0
+        while t < num_used:
+            x, y = normal[used[t]]
+            is_along = abs(normal[own, 0] * x + normal[own, 1] * y) > min_along
+            if is_along and abs(middle_m[k, 0] * x + middle_m[k, 1] * y - offset_m[used[t]]) < snap_m:
+                break
+            t += 1
+        if t == num_used:
+            used[num_used], num_used = own, num_used + 1
+        result[k] = used[t]
+    return result
 
 
 def _through_corners(lines: Sequence[Line], corner_m: np.ndarray, near_m: float) -> list[Line]:
