@@ -139,14 +139,25 @@ def _equations(
     # of places from their mean, sums of squares and of the products with heights
     row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
     stiff = np.where(kind == _FLAT, _STIFF, 1.0)
+    # of walls, the ends on the floor
+    ends_m = np.zeros((num, 2, 3))
     for k, p in enumerate(plane):
-        stands[p] |= on_floor[vertex[k]]
+        if kind[p] == _WALL and on_floor[vertex[k]]:
+            for a, ahead in enumerate((-1.0, 1.0)):
+                away_m = ahead * (vertex_m[vertex[k]] - ends_m[p, a])
+                if not stands[p] or away_m[1] * normal[p, 0] > away_m[0] * normal[p, 1]:
+                    ends_m[p, a] = vertex_m[vertex[k]]
+            stands[p] = True
         away_m = vertex_m[vertex[k]] - base[p]
         away_m[:2] *= stiff[p]
         for a in range(2):
             sums[p, a] += away_m[a] * away_m
     for p in range(num):
         row[p, :3] = normal[p]
+        x, y = ends_m[p, 1, 0] - ends_m[p, 0, 0], ends_m[p, 1, 1] - ends_m[p, 0, 1]
+        if stands[p] and not is_free[p] and np.hypot(x, y) > _EXACT_M:
+            # whatever the vertices above do
+            row[p, 0], row[p, 1], base[p] = y / np.hypot(x, y), -x / np.hypot(x, y), ends_m[p, 0]
         # walls shift only, unless they stand on a floor or may turn
         if kind[p] == _WALL and (is_free[p] or not stands[p]):
             scale[p, 3, 2] = 1 / np.sqrt(size[p])

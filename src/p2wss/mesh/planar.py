@@ -13,11 +13,8 @@ from p2wss.mesh.topology import NEXT
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton.types import FaceKind
 
-# corners nearer to lines of walls are on them; planes of which a corner stays further than the second figure, or moves
-# further than the third, stay as they are
-_EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 2e-4, 0.06
-# nothing within a wall is further than this from its line; lines whose angle has no greater sine squared are parallel
-_MAX_BENT_M, _PARALLEL = 5e-3, 1e-3
+# planes of which a corner stays further than this, or moves further than the second figure, stay as they are
+_PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
 # a triangle of less height than this has no normal that survives the rounding of a file
@@ -27,22 +24,21 @@ _NARROW = 0.02
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool = True) -> Mesh:
-    """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible, and
-    without those edges shorter than ``short_m`` that can go, the shortest first.
+    """The mesh with planar walls and roofs, as far as that is possible, and without those edges shorter than
+    ``short_m`` that can go, the shortest first.
 
-    An edge goes if the planes at both its ends, or those that are left without it, can meet in one point, and the mesh
-    stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are divided
-    anew.
+    An edge goes if the planes at both its ends, or above floors those that are left without it, can meet in one point,
+    and the mesh stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are
+    divided anew.
     """
-    straight = _flipped(_with_straight_walls(mesh))
-    each = np.arange(len(mesh.vertex_m))
-    result: Mesh | None = _met(straight, each) or straight
+    flipped = _flipped(mesh)
+    result: Mesh | None = _met(flipped, np.arange(len(mesh.vertex_m))) or flipped
     # planes at the ends of edges that could not go: with others there, they may
     kept = set()
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
-        rows = np.flatnonzero(edge_m < short_m)
+        rows, floor = np.flatnonzero(edge_m < short_m), mesh.triangle[mesh.kind == FaceKind.GROUND]
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
             end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
             around = frozenset(
@@ -55,11 +51,11 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
             vertex, plane = mesh.at
             free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
             moved = _met(mesh, each, short_m, free)
-            if moved is None:
+            if moved is not None:
+                result = _merged(moved, end, gone)
+            elif gone not in floor:
                 merged = _merged(mesh, end, gone)
                 result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
-            else:
-                result = _merged(moved, end, gone)
             if result is not None and _is_thin(result).sum() > _is_thin(mesh).sum():
                 # the other end of a step that went, or a vertex that a wall now passes through
                 result = with_exact_faces(result, _NO_HEIGHT_M, walls_stay)
@@ -110,42 +106,6 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
         if stays and move_m.max() <= max(_MAX_MOVE_M, max_move_m) and num_turned[1] <= num_turned[0]:
             return moved
     return None
-
-
-def _with_straight_walls(mesh: Mesh) -> Mesh:
-    """The mesh whose vertices within a wall are on the line between its ends, or where the lines of their walls meet.
-
-    Those of the outer walls are there already; others are off by fractions of a millimetre, as least squares and shifts
-    of planes left them.
-    """
-    planes = mesh.planes
-    column = np.unique(np.round(mesh.vertex_m[:, :2] / _EXACT_M) @ [1, 1j], return_inverse=True)[1]
-    num_columns = int(column.max(initial=-1)) + 1
-    place_m = np.zeros((num_columns, 2))
-    place_m[column] = mesh.vertex_m[:, :2]
-    # the columns of each wall, in their order along it
-    vertex, plane = mesh.at
-    pairs = (plane * num_columns + column[vertex])[planes.is_wall[plane]]
-    wall, own = np.divmod(np.unique(pairs), num_columns)
-    along = np.column_stack([-planes.normal[wall, 1], planes.normal[wall, 0]])
-    order = np.lexsort(((place_m[own] * along).sum(axis=1), wall))
-    wall, own = wall[order], own[order]
-    start_m = place_m[own[np.searchsorted(wall, wall)]]
-    end_m = place_m[own[np.searchsorted(wall, wall, "right") - 1]]
-    across = (end_m - start_m)[:, ::-1] * [-1, 1]
-    across /= np.maximum(np.hypot(*across.T), _EXACT_M)[:, None]
-    off_m = ((start_m - place_m[own]) * across).sum(axis=1)
-    is_off = np.zeros(num_columns, bool)
-    is_off[own[np.abs(off_m) > _EXACT_M]] = True
-    if not is_off.any():
-        return mesh
-    square, to_line_m = np.zeros((num_columns, 2, 2)), np.zeros((num_columns, 2))
-    np.add.at(square, own, across[:, :, None] * across[:, None])
-    np.add.at(to_line_m, own, off_m[:, None] * across)
-    move_m = (np.linalg.pinv(square, _PARALLEL, hermitian=True) @ to_line_m[..., None])[..., 0]
-    is_off &= np.hypot(*move_m.T) <= _MAX_BENT_M
-    place_m[is_off] += move_m[is_off]
-    return mesh.moved(np.column_stack([place_m[column], mesh.vertex_m[:, 2]]))
 
 
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:

@@ -84,7 +84,7 @@ def test_walls_bent_within_become_straight() -> None:
     exact = with_exact_faces(mesh.moved(bent))
     assert furthest_m(mesh.moved(bent)) > 1e-4 and furthest_m(exact) < 1e-6
     assert np.abs(exact.vertex_m - mesh.vertex_m).max() == pytest.approx(2e-4, abs=1e-6)
-    far = mesh.vertex_m + np.where(np.isclose(mesh.vertex_m[:, :1], 6), [0, 0.02, 0], 0)
+    far = mesh.vertex_m + np.where(np.isclose(mesh.vertex_m[:, :1], 6), [0, 0.08, 0], 0)
     assert with_exact_faces(mesh.moved(far)).vertex_m.tolist() == far.tolist()
 
 
