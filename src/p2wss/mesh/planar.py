@@ -9,6 +9,7 @@ import numpy as np
 
 from p2wss.mesh.meeting import turned_over, with_meeting_planes
 from p2wss.mesh.mesh import Mesh
+from p2wss.mesh.rules import crosses_itself
 from p2wss.mesh.topology import NEXT
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton.types import FaceKind
@@ -17,6 +18,8 @@ from p2wss.skeleton.types import FaceKind
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
+# ends that are nearer to each other may be one vertex in a file
+_MERGED_M = 2e-3
 # a triangle of less height than this has no normal that survives the rounding of a file
 _NO_HEIGHT_M = 1e-3
 # with a triangle whose height is a smaller share of its longest side, faces are divided anew
@@ -32,18 +35,20 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     divided anew.
     """
     flipped = _flipped(mesh)
-    result: Mesh | None = _met(flipped, np.arange(len(mesh.vertex_m))) or flipped
+    result = _met(flipped, np.arange(len(flipped.vertex_m)))
+    result = result if result and _is_as_valid(result, flipped) else flipped
     # planes at the ends of edges that could not go: with others there, they may
     kept = set()
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
         rows, floor = np.flatnonzero(edge_m < short_m), mesh.triangle[mesh.kind == FaceKind.GROUND]
+        span = int(mesh.label.max(initial=0)) + 1
+        pair = np.unique(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
+        begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
         for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
             end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-            around = frozenset(
-                np.unique(mesh.label[(mesh.triangle == each).any(axis=1)]).tobytes() for each in (end, gone)
-            )
+            around = frozenset((pair[begin[v] : begin[v + 1]] - v * span).tobytes() for v in (end, gone))
             if around in kept or not _can_merge(mesh, end, gone):
                 continue
             each = np.arange(len(mesh.vertex_m))
@@ -60,9 +65,9 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
                 # the other end of a step that went, or a vertex that a wall now passes through
                 result = with_exact_faces(result, _NO_HEIGHT_M, walls_stay)
                 result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
-            if result is not None and (result.is_closed or not mesh.is_closed):
+            if result is not None and _is_as_valid(result, mesh):
                 break
-            # none, or a vertex has come to where another one is, and four walls share an upright edge
+            # none, or a vertex has come to where another one is, as where four walls share an upright edge, or beyond
             result = None
             kept.add(around)
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
@@ -106,6 +111,15 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
         if stays and move_m.max() <= max(_MAX_MOVE_M, max_move_m) and num_turned[1] <= num_turned[0]:
             return moved
     return None
+
+
+def _is_as_valid(mesh: Mesh, before: Mesh) -> bool:
+    """Whether a mesh is closed, has no edge that files merge, and does not cross itself, if so was the one before."""
+    if (before.is_closed and not mesh.is_closed) or mesh.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
+        return False
+    return not crosses_itself(mesh.vertex_m, mesh.triangle) or crosses_itself(
+        before.vertex_m, before.triangle
+    )
 
 
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:

@@ -23,11 +23,18 @@ def any_intersect(
         for i in range(3):
             a, b, c = corner_m[t, 0, i], corner_m[t, 1, i], corner_m[t, 2, i]
             low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
-    for s in range(num):
-        for t in range(s + 1, num):
-            if low[s, 0] > high[t, 0] or low[t, 0] > high[s, 0] or low[s, 1] > high[t, 1]:
-                continue
-            if low[t, 1] > high[s, 1] or low[s, 2] > high[t, 2] or low[t, 2] > high[s, 2]:
+    # in the order of where they begin, so that few are compared
+    order = np.argsort(low[:, 0])
+    for k, s in enumerate(order):
+        for t in order[k + 1 :]:
+            if low[t, 0] > high[s, 0]:
+                break
+            if (
+                low[s, 1] > high[t, 1]
+                or low[t, 1] > high[s, 1]
+                or low[s, 2] > high[t, 2]
+                or low[t, 2] > high[s, 2]
+            ):
                 continue
             if _triangles_intersect(vertex_m, triangle, normal, s, t):
                 return True

@@ -13,6 +13,8 @@ from places import ROOT, SHARED
 
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction
+from p2wss.mesh.planar import with_exact_faces
+from p2wss.mesh.repair import surfaces_to_write
 
 sys.path.insert(0, str(ROOT / "tests" / "unit" / "skeleton"))
 from skeleton_samples import clean, sample_footprints
@@ -49,6 +51,18 @@ def test_planes(outlines: list[random_solids.Rings], is_hard: bool) -> None:
     assert found[True] >= 0.5 * NUM
     for _, after, codes in random_solids.validated([building for building in solids if building is not None]):
         assert after.has_mesh and codes == []
+
+
+def test_short_edges_go_only_where_no_faces_cross_then() -> None:
+    square = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 7.0], [0.0, 7.0]])
+    num_shorter = 0
+    for i in (47, 79, 87, 88, 99, 170, 177, 181, 233):
+        solid = random_solids.with_planes(f"p {i}", [square], i, 3 + i % 6, True)
+        assert solid is not None and solid.mesh is not None
+        exact = with_exact_faces(solid.mesh, 0.2)
+        num_shorter += len(exact.triangle) < len(solid.mesh.triangle)
+        assert surfaces_to_write(exact, (0.0, 0.0, 0.0))[1] == []
+    assert num_shorter >= 2
 
 
 @pytest.mark.slow
