@@ -45,7 +45,7 @@ class Rules:
 
 
 RULES = Rules()
-_CHUNK = 100_000
+_CHUNK = 10_000
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
