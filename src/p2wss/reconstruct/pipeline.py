@@ -44,6 +44,8 @@ _NETWORK_BATCH = 256
 _MAX_AROUND = 200
 # whose ground is that of a building without points
 _NUM_NEIGHBOURS = 5
+# of so many rows, the smallest shows a process the compiled code
+_NUM_TO_LEARN = 8
 
 
 def run(
@@ -277,12 +279,13 @@ class Rows:
 
     def _learn(self, rows: Sequence[Row]) -> None:
         """Have the compiled code that forks need in this process, too, as loading it takes as long as six buildings:
-        repeat one of the rows before these, in which no fork has failed."""
+        repeat a small one of the rows before these, in which no fork has failed."""
         before, self._before = self._before, rows
-        if not (self._num_processes and len(before)) or self._has_learnt:
+        if not (self._num_processes and len(before) and len(rows)) or self._has_learnt:
             return
-        if not self._results[before[0].number].failure:
-            surviving(lambda some: self._together(some, self._config), before[:1], lambda *_: [])
+        row = min(before[:_NUM_TO_LEARN], key=lambda row: self._results[row.number].num_points)
+        if not self._results[row.number].failure:
+            surviving(lambda some: self._together(some, self._config), [row], lambda *_: [])
             self._has_learnt = True
 
     def _complete(self) -> None:
