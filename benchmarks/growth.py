@@ -14,10 +14,10 @@ Needs no data. Draws clouds and footprints, the work doubling eight times, and r
 
 Each size is a process of its own: its CPU time and peak memory (``figures.run``), less those of a run of one small
 house, in turn with it; the least of three for runs below ten seconds. The exponent is the slope of log cost over log
-work in the upper half of the sizes, where little of the cost does not grow: 1 is in proportion, 2 with the square.
-Memory is left out where it grows by less than ``MIN_MIB`` over all. *Built* is how many roof faces the result has, of
-those that were drawn: time in which nothing was found proves nothing. A kind ends where a run takes longer than
-``--limit``; then the figures say up to which size it was measured.
+work in the upper half of the sizes, where little of the cost does not grow: 1 is in proportion, 2 with the square. Of
+memory, only sizes that take ``MIN_MIB`` more than the small house count: less is within what the start takes. *Built*
+is how many roof faces the result has, of those that were drawn: time in which nothing was found proves nothing. A kind
+ends where a run takes longer than ``--limit``; then the figures say up to which size it was measured.
 """
 
 from __future__ import annotations
@@ -205,9 +205,8 @@ def measured(start: list[object], whole: list[object], limit_s: float) -> tuple[
 
 
 def exponent(sizes: list[int], costs: list[float]) -> float:
-    """Slope of log cost over log size in the upper half of the sizes."""
-    upper = slice(len(sizes) // 2, None)
-    return float(np.polyfit(np.log(sizes[upper]), np.log(np.maximum(costs[upper], 1e-3)), 1)[0])
+    """Slope of log cost over log size."""
+    return float(np.polyfit(np.log(sizes), np.log(np.maximum(costs, 1e-3)), 1)[0])
 
 
 def measure(kind: str, most: int, limit_s: float, folder: Path, figures: Figures) -> None:
@@ -239,17 +238,21 @@ def measure(kind: str, most: int, limit_s: float, folder: Path, figures: Figures
     if len(sizes) < 4:
         print("too few sizes for an exponent")
         return
-    half = sizes[len(sizes) // 2]
-    figures.row(f"{kind}, measured", {"from": sizes[0], "to": sizes[-1], "exponents from": half})
-    figures.at_most(f"{kind}: exponent of CPU time", exponent(sizes, times_s), MOST_EXPONENT[kind])
-    if peaks_mib[-1] - peaks_mib[0] >= MIN_MIB:
-        figures.at_most(f"{kind}: exponent of memory", exponent(sizes, peaks_mib), MOST_EXPONENT[kind])
-    figures.at_least(f"{kind}: built, least of the upper half", min(built[len(sizes) // 2 :]), MIN_BUILT)
+    half = len(sizes) // 2
+    figures.row(f"{kind}, measured", {"from": sizes[0], "to": sizes[-1], "exponents from": sizes[half]})
+    figures.at_most(
+        f"{kind}: exponent of CPU time", exponent(sizes[half:], times_s[half:]), MOST_EXPONENT[kind]
+    )
+    large = [k for k in range(half, len(sizes)) if peaks_mib[k] >= MIN_MIB]
+    if len(large) > 1:
+        of_memory = exponent([sizes[k] for k in large], [peaks_mib[k] for k in large])
+        figures.at_most(f"{kind}: exponent of memory", of_memory, MOST_EXPONENT[kind])
+    figures.at_least(f"{kind}: built, least of the upper half", min(built[half:]), MIN_BUILT)
     if kind in RATIOS:
-        large, small, bar = RATIOS[kind]
-        if large in sizes:
-            ratio = times_s[sizes.index(large)] / times_s[sizes.index(small)]
-            figures.at_most(f"{kind}: CPU time of {large} over {small}", ratio, bar)
+        most, least, bar = RATIOS[kind]
+        if most in sizes:
+            ratio = times_s[sizes.index(most)] / times_s[sizes.index(least)]
+            figures.at_most(f"{kind}: CPU time of {most} over {least}", ratio, bar)
 
 
 def main() -> int:

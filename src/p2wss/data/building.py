@@ -64,7 +64,7 @@ class Reconstruction:
     angles along the footprint. class_probability: (edges, 3), the network's probabilities that an edge has 0 degrees,
     90 degrees or a slope. status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat
     roof used as a fallback. surfaces: the planar polygons of the mesh that were found to be a valid solid, as files
-    have them; none before that.
+    have them; none before that. is_simplified: whether the points show more than a building may have.
     """
 
     building_id: str
@@ -80,6 +80,7 @@ class Reconstruction:
     num_parts: int = 1
     class_probability: np.ndarray | None = None
     surfaces: Sequence[Surface] = ()
+    is_simplified: bool = False
 
     @property
     def has_mesh(self) -> bool:

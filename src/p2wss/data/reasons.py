@@ -40,6 +40,7 @@ NO_HEIGHT = "no-height"
 HEIGHT_FROM_ATTRIBUTE = "height-from-attribute"
 NO_ROOF = "no-roof"
 INVALID_SOLID = "invalid-solid"
+SIMPLIFIED = "simplified-by-size"
 INTERNAL_ERROR = "internal-error"
 ROOFER_FAILED = "roofer-failed"
 ROOFER_TIMEOUT = "roofer-timeout"
@@ -102,6 +103,7 @@ MEANINGS: dict[str, str] = {
     HEIGHT_FROM_ATTRIBUTE: "no point shows the building: a flat roof at the height that its footprint states",
     NO_ROOF: "the fit found no roof for the points",
     INVALID_SOLID: "the solid violates a rule of ISO 19107, and so do simpler solids with a fitted roof",
+    SIMPLIFIED: "the points show more planes than the fit of one building takes; the mesh has the largest",
     INTERNAL_ERROR: "the code failed at this building, or its process was killed; the log of errors has the traceback",
     ROOFER_FAILED: "Roofer ended with an error; see the log",
     ROOFER_TIMEOUT: "Roofer took longer than eval.roofer_timeout_s",

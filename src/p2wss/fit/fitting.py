@@ -82,7 +82,7 @@ class _Solid:
     """A building before its last steps.
 
     num_parts: bodies between which there are steps. eave_height_m: of the largest. angle_deg: of each edge of the
-    footprint. is_parametric: whether this is the building of the paper.
+    footprint. is_parametric: whether this is the building of the paper. is_simplified: whether points show more planes.
     """
 
     mesh: Mesh
@@ -90,6 +90,7 @@ class _Solid:
     eave_height_m: float
     angle_deg: np.ndarray
     is_parametric: bool
+    is_simplified: bool = False
 
 
 def fit_building(task: _Task) -> Reconstruction:
@@ -161,7 +162,9 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     )
     if planes is None:
         return None
-    return _Solid(planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False)
+    return _Solid(
+        planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False, planes.is_simplified
+    )
 
 
 def known_roof(task: _Task, prepared: _Prepared, supposed_m: np.ndarray, settings: Planes) -> Mesh | None:
@@ -221,4 +224,5 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
         solid.angle_deg,
         mesh,
         solid.num_parts,
+        is_simplified=solid.is_simplified,
     )

@@ -216,9 +216,20 @@ class PlanePrices(NamedTuple):
         return self._replace(edge_m2=self.edge_m2 + self.sparse_edge_m * max(gap_m - self.dense_gap_m, 0.0))
 
 
+class Limits(NamedTuple):
+    """The most that the search for planes of one building takes, so that its memory is bounded: of more points an even
+    sample, of more planes the largest, half of them where their lines are more or cross in more places."""
+
+    num_points: int = 300_000
+    num_planes: int = 2_000
+    num_lines: int = 8_000
+    num_places: int = 100_000
+
+
 class Planes(NamedTuple):
     """All that decides between roofs of planes (`planes/`)."""
 
+    limits: Limits = Limits()
     detection: Detection = Detection()
     drawing: Drawing = Drawing()
     prices: PlanePrices = PlanePrices()

@@ -30,8 +30,6 @@ _MANY_PLACES = 16
 _GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
 # so many planes and places that depend on each other are solved for together
 _TOGETHER = 60
-# so many unknowns are solved for by their few coefficients
-_SPARSE = 900
 # a triangle is turned over if twice its area along its former normal is less than minus this
 _NO_AREA_M2 = 1e-6
 
@@ -210,9 +208,8 @@ def _met(
         if np.abs(off_m).max() < _EXACT_M:
             break
         lever = (point_m[at, None] @ scale[plane])[:, 0]
-        place, share, right = _sums(row[plane], off_m, lever, inverse, begin, unknown, num)
-        change = _solved(place, share, right).reshape(num, 3, 1)
-        row[moves] -= (scale[moves] @ change)[..., 0]
+        change = _solved(*_sums(row[plane], off_m, lever, inverse, begin, unknown, num))
+        row[moves] -= (scale[moves] @ change[..., None])[..., 0]
         inverse, _ = _inverses(row[plane], at)
         off_m = (row[plane] * point_m[at]).sum(axis=1)
         way_m = np.add.reduceat(row[plane, :3] * off_m[:, None], begin[:-1])
@@ -277,16 +274,17 @@ def _sums(
     unknown: np.ndarray,
     num: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(places in a square matrix, what is added there, right sides): the normal equations of changes of ``num`` planes.
+    """(pairs of planes (k, 2), what each adds to the matrix (k, 3, 3), right sides (num, 3)): the normal equations of
+    changes of ``num`` planes.
+
     row, off_m, lever: of each plane at each place, how far it is from it, and how much further by its changes. unknown:
     the number of the plane, -1 if it stays."""
     num_pairs = 0
     for at in range(len(inverse)):
         num_moved = (unknown[begin[at] : begin[at + 1]] >= 0).sum()
         num_pairs += num_moved * num_moved
-    size = 3 * num
-    place, share = np.empty((num_pairs, 3, 3), np.int64), np.empty((num_pairs, 3, 3))
-    right, count = np.zeros(size), 0
+    pair, share = np.empty((num_pairs, 2), np.int64), np.empty((num_pairs, 3, 3))
+    right, count = np.zeros((num, 3)), 0
     for at in range(len(inverse)):
         for i in range(begin[at], begin[at + 1]):
             for j in range(begin[at], begin[at + 1] if unknown[i] >= 0 else 0):
@@ -296,25 +294,76 @@ def _sums(
                     for b in range(3):
                         apart -= row[i, a] * inverse[at, a, b] * row[j, b]
                 for a in range(3):
-                    right[3 * unknown[i] + a] += apart * off_m[j] * lever[i, a]
+                    right[unknown[i], a] += apart * off_m[j] * lever[i, a]
                     for b in range(3 if unknown[j] >= 0 else 0):
-                        place[count, a, b] = size * (3 * unknown[i] + a) + 3 * unknown[j] + b
                         share[count, a, b] = apart * lever[i, a] * lever[j, b]
-                count += unknown[j] >= 0
-    return place.ravel(), share.ravel(), right
+                if unknown[j] >= 0:
+                    pair[count, 0], pair[count, 1] = unknown[i], unknown[j]
+                    count += 1
+    return pair, share, right
 
 
-def _solved(place: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The least changes that solve normal equations of :func:`_sums`."""
-    size = len(right)
-    if size < _SPARSE:
-        matrix = np.bincount(place, share, size * size).astype(float).reshape(size, size)
-        matrix.flat[:: size + 1] += _NO_CHANGE
-        return np.linalg.solve(matrix, right)
-    # takes a tenth of a second to load, and is slower for few
-    from scipy import sparse
+@entry
+def _solved(pair: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The least changes (n, 3) that solve normal equations of :func:`_sums`.
 
-    index = np.arange(size)
-    matrix = sparse.csc_array((share, np.divmod(place, size)), shape=(size, size))
-    matrix += sparse.csc_array((np.full(size, _NO_CHANGE), (index, index)))
-    return np.asarray(sparse.linalg.spsolve(matrix, right))
+    By Cholesky's factors within the envelope, planes in the order of Cuthill and McKee (1969): few planes meet, and the
+    result does not depend on the threads of a library.
+    """
+    num = len(right)
+    begin = np.zeros(num + 1, np.int64)
+    for i in pair[:, 0]:
+        begin[i + 1] += 1
+    begin = np.cumsum(begin)
+    beside, end = np.empty(len(pair), np.int64), begin[:-1].copy()
+    for k in range(len(pair)):
+        beside[end[pair[k, 0]]] = pair[k, 1]
+        end[pair[k, 0]] += 1
+    # from each plane that none before it meets to those that it meets, and so on
+    order, place, count = np.empty(num, np.int64), np.full(num, -1), 0
+    for start in range(num):
+        head = count
+        if place[start] < 0:
+            order[count], place[start], count = start, count, count + 1
+        while head < count:
+            for other in beside[begin[order[head]] : begin[order[head] + 1]]:
+                if place[other] < 0:
+                    order[count], place[other], count = other, count, count + 1
+            head += 1
+    size = 3 * num
+    first = np.empty(size, np.int64)
+    for i in range(num):
+        lowest = i
+        for other in beside[begin[order[i]] : begin[order[i] + 1]]:
+            lowest = min(lowest, place[other])
+        first[3 * i : 3 * i + 3] = 3 * lowest
+    # row i has the columns from first[i] to i; its column j is at at[i] + j
+    length = np.arange(1, size + 1) - first
+    at = np.cumsum(length) - length - first
+    factor = np.zeros(length.sum())
+    for k in range(len(pair)):
+        i, j = place[pair[k, 0]], place[pair[k, 1]]
+        for a in range(3):
+            for b in range(3):
+                if 3 * j + b <= 3 * i + a:
+                    factor[at[3 * i + a] + 3 * j + b] += share[k, a, b]
+    result = np.empty(size)
+    for i in range(size):
+        value = right[order[i // 3], i % 3]
+        for j in range(first[i], i + 1):
+            total = factor[at[i] + j]
+            for k in range(max(first[i], first[j]), j):
+                total -= factor[at[i] + k] * factor[at[j] + k]
+            if j < i:
+                factor[at[i] + j] = total / factor[at[j] + j]
+                value -= factor[at[i] + j] * result[j]
+            else:
+                factor[at[i] + i] = np.sqrt(max(total + _NO_CHANGE, _NO_CHANGE))
+        result[i] = value / factor[at[i] + i]
+    for i in range(size - 1, -1, -1):
+        result[i] /= factor[at[i] + i]
+        for j in range(first[i], i):
+            result[j] -= factor[at[i] + j] * result[i]
+    change = np.empty((num, 3))
+    change[order] = result.reshape(num, 3)
+    return change

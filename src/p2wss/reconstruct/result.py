@@ -102,6 +102,8 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     building = row.building
     reason = None if reconstruction.status == "ok" else reconstruction.status
     status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
+    if reconstruction.is_simplified:
+        reason = reason or reasons.SIMPLIFIED
     on_building = building.is_on_building if building.rings else np.zeros(len(building.point_m), bool)
     point_m = building.point_m[on_building]
     point_m = point_m[:: stride(len(point_m), _MAX_RESIDUAL_POINTS)]

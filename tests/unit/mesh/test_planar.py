@@ -13,7 +13,7 @@ from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
-from p2wss.mesh.meeting import with_meeting_planes
+from p2wss.mesh.meeting import _solved, with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton import FaceKind, Polygons
@@ -68,6 +68,21 @@ def test_roofs_far_from_each_other_are_as_alone() -> None:
         alone, _ = with_meeting_planes(house, np.arange(len(house.vertex_m)))
         assert np.abs(vertex_m - alone.vertex_m).max() < 1e-8
     assert (moved.vertex_m.reshape(40, -1, 3)[7] == houses[7].vertex_m).all()
+
+
+@pytest.mark.parametrize(("num", "num_links"), [(1, 0), (2, 1), (30, 25), (150, 400)])
+def test_changes_are_those_of_a_dense_solver(num: int, num_links: int) -> None:
+    draw = np.random.default_rng(num)
+    link = draw.integers(num, size=(num_links, 2))
+    pair = np.concatenate([link, link[:, ::-1], np.repeat(np.arange(num), 2).reshape(-1, 2)])
+    share = draw.uniform(-1, 1, (num_links, 3, 3))
+    block = draw.uniform(-1, 1, (num, 3, 3))
+    own = block @ block.swapaxes(1, 2) + 20 * np.eye(3)
+    share = np.concatenate([share, share.swapaxes(1, 2), own])
+    right, matrix = draw.uniform(-1, 1, (num, 3)), np.zeros((num, 3, num, 3))
+    np.add.at(matrix, (pair[:, 0], slice(None), pair[:, 1]), share)
+    expected = np.linalg.solve(matrix.reshape(3 * num, 3 * num), right.ravel())
+    assert _solved(pair, share, right).ravel() == pytest.approx(expected, abs=1e-9)
 
 
 def test_planes_stay_as_they_are_to_the_bit() -> None:

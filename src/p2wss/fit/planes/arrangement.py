@@ -58,8 +58,14 @@ class Arrangement:
         return np.asarray(_cells_below(writable(xy_m, np.float64), end_m, pair))
 
 
-def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
-    """The cells of a footprint."""
+class TooManyPlacesError(ValueError):
+    """Lines end or cross in more places than may be."""
+
+
+def arrange(
+    rings: Sequence[np.ndarray], lines: Sequence[Line], max_num_places: float = np.inf
+) -> Arrangement:
+    """The cells of a footprint. Raises :class:`TooManyPlacesError`."""
     own_lines = [line for line, _ in edges_of(rings)]
     all_lines = [*own_lines, *lines]
     # an edge of the footprint and what goes on beyond it are one line
@@ -70,6 +76,8 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     low, high = np.array(polygon.bounds).reshape(2, 2)
     far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
     place, link, line = _pieces(np.concatenate([edge_ends(rings), ends_of(lines, far_m)]) / GRID_M)
+    if len(place) > max_num_places:
+        raise TooManyPlacesError
     place_m = place * GRID_M
     is_beside = np.any((place_m < low - GRID_M) | (place_m > high + GRID_M), axis=1)
     drawn = np.asarray(shapely.linestrings(place_m[link[~is_beside[link].any(axis=1)]]), object)

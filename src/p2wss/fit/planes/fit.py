@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
 from p2wss.fit.directions import directions, edge_ends
-from p2wss.fit.planes.arrangement import Arrangement, arrange, by_member
+from p2wss.fit.planes.arrangement import Arrangement, TooManyPlacesError, arrange, by_member
 from p2wss.fit.planes.costs import Costs, candidates_of, costs_of
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.known import known_lines, known_places, known_planes
 from p2wss.fit.planes.labelling import least_cost
-from p2wss.fit.planes.lines import lines_of
+from p2wss.fit.planes.lines import Line, lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import OUTSIDE, at_pinch, solid_below
 from p2wss.fit.points import even_order, every_kth
-from p2wss.fit.settings import Planes
+from p2wss.fit.settings import Drawing, Limits, Planes
 from p2wss.mesh import Mesh
 from p2wss.skeleton.angles import slope_angles
 from p2wss.skeleton.groups import groups
@@ -39,7 +40,8 @@ _LOW_M = 2.0
 @dataclass(frozen=True)
 class PlanesFit:
     """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
-    there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof."""
+    there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof. is_simplified:
+    whether the points show more planes than :class:`p2wss.fit.settings.Limits` allow."""
 
     plane: np.ndarray
     cells: Arrangement
@@ -47,6 +49,7 @@ class PlanesFit:
     body: np.ndarray
     num_bodies: int
     mesh: Mesh
+    is_simplified: bool = False
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
         """(eave height of the largest body, angle in degrees of every edge): that of a plane which rises from its edge,
@@ -93,7 +96,8 @@ def fit_planes(
     this one, as those of a row have. known: a roof with which the search begins, and whose planes and lines this one
     may have. supposed_m: (s, 3), places all over the roof at heights that count as little as a few points."""
     area_m2, order = shapely.Polygon(rings[0], rings[1:]).area, even_order(point_m)
-    order = order[every_kth(len(order), int(settings.detection.max_per_m2 * area_m2) + 1)]
+    max_num = min(int(settings.detection.max_per_m2 * area_m2) + 1, settings.limits.num_points)
+    order = order[every_kth(len(order), max_num)]
     point_m, is_open = point_m[order], order >= len(point_m) - num_open
     density = len(point_m) / area_m2
     if around_m is not None:
@@ -118,10 +122,15 @@ def fit_planes(
     hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
     drawing = settings.drawing.for_density(density)
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
-    lines, num_found = lines_of(rings, plane, found.label, point_m, main, drawing), len(plane)
+    further = [] if known is None else known_lines(known)
+    drawn = _drawn(rings, plane, found.label, point_m, main, further, drawing, settings.limits)
+    if drawn is None:
+        return None
+    num_shown, (plane, at_plane, cells) = len(plane), drawn
+    num_found = len(plane)
     if known is not None:
-        plane, lines = np.vstack([plane, known_planes(known)]), lines + known_lines(known)
-    cells, num_known = arrange(rings, lines), len(plane) - num_found
+        plane = np.vstack([plane, known_planes(known)])
+    num_known = len(plane) - num_found
     cell = cells.cells_at(point_m[:, :2])
     seen_m, of_cell, stands_m2 = point_m, cell, np.full(len(point_m), 1 / density)
     if supposed_m is not None and len(supposed_m):
@@ -129,7 +138,7 @@ def fit_planes(
         of_cell = np.append(of_cell, cells.cells_at(supposed_m[:, :2]))
         supposed_m2 = area_m2 * min(settings.prices.supposed_per_m2 / density, 1.0)
         stands_m2 = np.append(stands_m2, np.full(len(supposed_m), supposed_m2 / len(supposed_m)))
-    at_m, number = point_m[found.label >= 0, :2], found.label[found.label >= 0]
+    at_m, number = point_m[at_plane >= 0, :2], at_plane[at_plane >= 0]
     if known is not None:
         known_m, known_number = known_places(known)
         at_m, number = np.vstack([at_m, known_m]), np.append(number, num_found + known_number)
@@ -144,7 +153,37 @@ def fit_planes(
         return None
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
-    return PlanesFit(plane, cells, label, body, num_bodies, mesh)
+    return PlanesFit(plane, cells, label, body, num_bodies, mesh, num_found < num_shown)
+
+
+def _drawn(
+    rings: Sequence[np.ndarray],
+    plane: np.ndarray,
+    label: np.ndarray,
+    point_m: np.ndarray,
+    along: Sequence[float],
+    further: Sequence[Line],
+    drawing: Drawing,
+    limits: Limits,
+) -> tuple[np.ndarray, np.ndarray, Arrangement] | None:
+    """(planes, the plane of each point, -1 for none, the cells between their lines and further ones): all planes, or as
+    many of the largest as are within the limits; None where no plane is."""
+    num = limits.num_planes
+    while num:
+        if len(plane) > num:
+            kept = np.sort(
+                np.argsort(-np.bincount(label[label >= 0], minlength=len(plane)), kind="stable")[:num]
+            )
+            number = np.full(len(plane) + 1, -1)
+            number[kept] = np.arange(num)
+            # the last one is that of no plane
+            plane, label = plane[kept], number[label]
+        lines = [*lines_of(rings, plane, label, point_m, along, drawing), *further]
+        if len(lines) <= limits.num_lines:
+            with suppress(TooManyPlacesError):
+                return plane, label, arrange(rings, lines, limits.num_places)
+        num = min(num, len(plane)) // 2
+    return None
 
 
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:

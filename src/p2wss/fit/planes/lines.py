@@ -25,6 +25,8 @@ _MIN_BORDER = 3
 _ON_M = 1e-3
 # metres: as they are, 39 of 6,000 grids in whole millimetres fail; moved by this, none
 _SHAKE_M = 1e-3
+# points whose neighbours are found together
+_STRIP = 25_000
 
 
 class Line(NamedTuple):
@@ -147,10 +149,18 @@ def _borders(
         return {}
     # GEOS fails on some regular grids, so that each point is moved a little
     site_m = point_m[rows, :2] + np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (len(rows), 2))
-    # edges keep heights: the numbers of their points
-    sites = shapely.linestrings(np.column_stack([site_m, rows]))
-    edges = shapely.delaunay_triangles(sites, only_edges=True)
-    link = shapely.get_coordinates(edges, include_z=True)[:, 2].astype(int).reshape(-1, 2)
+    links, x_m = [], point_m[rows, 0]
+    for first in range(0, len(rows), _STRIP):
+        # of many points in strips across, with what is beside: GEOS takes half a kilobyte for each
+        last = min(first + _STRIP, len(rows))
+        low, high = np.searchsorted(x_m, (x_m[first] - 2 * near_m, x_m[last - 1] + 2 * near_m))
+        # edges keep heights: the numbers of their points
+        sites = shapely.linestrings(np.column_stack([site_m, np.arange(len(rows))])[low:high])
+        edges = shapely.delaunay_triangles(sites, only_edges=True)
+        link = shapely.get_coordinates(edges, include_z=True)[:, 2].astype(int).reshape(-1, 2)
+        begin = link.min(axis=1)
+        links.append(rows[link[(begin >= first) & (begin < last)]])
+    link = np.concatenate(links)
     link = link[label[link[:, 0]] != label[link[:, 1]]]
     apart = point_m[link[:, 0], :2] - point_m[link[:, 1], :2]
     link = link[np.hypot(apart[:, 0], apart[:, 1]) < near_m]

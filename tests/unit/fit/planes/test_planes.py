@@ -22,7 +22,7 @@ from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import Line, edges_of, ends_of, lines_of
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import at_pinch, solid_below
-from p2wss.fit.settings import Planes
+from p2wss.fit.settings import Limits, Planes
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas, is_closed, unit_normals
 from p2wss.skeleton import FaceKind
@@ -134,6 +134,23 @@ def test_where_high_and_low_roofs_touch_in_a_corner_one_of_them_gives_way_there(
     off_m = np.abs(height_over(fit.plane, fit.label[fit.cells.cells_at(xy_m)], xy_m) - point_m[:, 2])
     # one quarter is lost, all others are as they were measured
     assert 0.2 < np.mean(off_m > 0.2) < 0.3
+
+
+@pytest.mark.parametrize("limits", [Limits(num_planes=2), Limits(num_lines=6), Limits(num_places=16)])
+def test_of_too_many_planes_the_largest_are_built(limits: Limits) -> None:
+    """Four flat roofs side by side, each larger and higher than the one before."""
+    edge_m = np.array([0.0, 3.0, 8.0, 16.0, 30.0])
+    square = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 10.0], [0.0, 10.0]])
+    rng = np.random.default_rng(3)
+    xy_m = rng.uniform(0, [30, 10], (1800, 2))
+    number = np.searchsorted(edge_m, xy_m[:, 0]) - 1
+    point_m = np.column_stack([xy_m, 4.0 + 2 * number + rng.normal(0, 0.02, len(xy_m))])
+    whole, few = (fit_planes([square], point_m, each) for each in (PLANES, PLANES._replace(limits=limits)))
+    assert whole is not None and len(whole.plane) == 4 and not whole.is_simplified
+    assert few is not None and len(few.plane) < 4 and few.is_simplified
+    over_m = height_over(few.plane, few.label[few.cells.cells_at(xy_m)], xy_m) - point_m[:, 2]
+    assert np.abs(over_m[number == 3]).max() < 0.2
+    assert fit_planes([square], point_m, PLANES._replace(limits=Limits(num_lines=3))) is None
 
 
 def test_points_along_a_line_show_no_steep_roof() -> None:
