@@ -117,9 +117,13 @@ def _is_as_valid(mesh: Mesh, before: Mesh) -> bool:
     """Whether a mesh is closed, has no edge that files merge, and does not cross itself, if so was the one before."""
     if (before.is_closed and not mesh.is_closed) or mesh.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
         return False
-    return not crosses_itself(mesh.vertex_m, mesh.triangle) or crosses_itself(
-        before.vertex_m, before.triangle
-    )
+    index = {place: k for k, place in enumerate(map(tuple, before.vertex_m.tolist()))}
+    number = np.array([index.get(place, -1) for place in map(tuple, mesh.vertex_m.tolist())])
+    corner, base = number[mesh.triangle], len(before.vertex_m) ** np.arange(3)
+    is_new = (corner < 0).any(axis=1) | ~np.isin(corner @ base, before.triangle @ base)
+    if not crosses_itself(mesh.vertex_m, mesh.triangle, np.flatnonzero(is_new)):
+        return True
+    return crosses_itself(before.vertex_m, before.triangle)
 
 
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:

@@ -164,11 +164,11 @@ class _Faces:
         return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)
 
 
-def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
-    """Whether two of the triangles (t, 3) have more in common than a vertex or an edge."""
+def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray | None = None) -> bool:
+    """Whether two of the triangles (t, 3), one of them asked (k,), have more in common than a vertex or an edge."""
     triangle = triangle.astype(np.int64)
-    corner_m = vertex_m[triangle]
-    return bool(shell_kernels.any_intersect(vertex_m, triangle, corner_m, unit_normals(corner_m)))
+    corner_m, asked = vertex_m[triangle], np.arange(len(triangle)) if asked is None else asked
+    return bool(shell_kernels.any_intersect(vertex_m, triangle, corner_m, unit_normals(corner_m), asked))
 
 
 def shell_code(triangle: np.ndarray) -> int:

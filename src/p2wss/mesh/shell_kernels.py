@@ -13,10 +13,10 @@ _FOLD_RAD = 1e-3
 
 @entry
 def any_intersect(
-    vertex_m: np.ndarray, triangle: np.ndarray, corner_m: np.ndarray, normal: np.ndarray
+    vertex_m: np.ndarray, triangle: np.ndarray, corner_m: np.ndarray, normal: np.ndarray, asked: np.ndarray
 ) -> bool:
-    """Whether two of the triangles (t, 3) have more in common than a vertex or an edge. corner_m: (t, 3, 3). normal:
-    (t, 3), unit vectors."""
+    """Whether one of the triangles (t, 3) that are asked, int64 (k,), has more in common with another one than a vertex
+    or an edge. corner_m: (t, 3, 3). normal: (t, 3), unit vectors."""
     num = len(triangle)
     low, high = np.empty((num, 3)), np.empty((num, 3))
     for t in range(num):
@@ -25,16 +25,14 @@ def any_intersect(
             low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
     # in the order of where they begin, so that few are compared
     order = np.argsort(low[:, 0])
-    for k, s in enumerate(order):
-        for t in order[k + 1 :]:
-            if low[t, 0] > high[s, 0]:
-                break
-            if (
-                low[s, 1] > high[t, 1]
-                or low[t, 1] > high[s, 1]
-                or low[s, 2] > high[t, 2]
-                or low[t, 2] > high[s, 2]
-            ):
+    begin, widest = low[order, 0], (high[:, 0] - low[:, 0]).max()
+    is_done = np.zeros(num, np.bool_)
+    for s in asked:
+        is_done[s] = True
+        for t in order[np.searchsorted(begin, low[s, 0] - widest) : np.searchsorted(begin, high[s, 0])]:
+            if is_done[t] or low[s, 0] > high[t, 0] or low[s, 1] > high[t, 1] or low[t, 1] > high[s, 1]:
+                continue
+            if low[s, 2] > high[t, 2] or low[t, 2] > high[s, 2]:
                 continue
             if _triangles_intersect(vertex_m, triangle, normal, s, t):
                 return True
