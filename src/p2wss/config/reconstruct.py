@@ -18,7 +18,6 @@ OUTPUT_SUFFIXES = {
     "stl": ".stl",
     "sionna": "_sionna/scene.xml",
     "helios": "_helios/scene.xml",
-    "3dtiles": "_3dtiles/tileset.json",
     "gpkg": ".gpkg",
     "geoparquet": ".parquet",
     "report": ".html",
@@ -36,7 +35,6 @@ Output = Literal[
     "stl",
     "sionna",
     "helios",
-    "3dtiles",
     "gpkg",
     "geoparquet",
     "report",
@@ -160,8 +158,7 @@ class Reconstruct(Section):
         ["cityjsonseq", "gpkg", "report"],
         min_length=1,
         description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, helios, "
-        "3dtiles",
-    )
+        )
     attribute_names: Literal["p2wss", "3dbag"] = Field(
         "p2wss", description="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one"
     )

@@ -10,7 +10,6 @@ from p2wss.formats import helios
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Body, Frame, mtl, obj, ply, stl
 from p2wss.formats.sionna import scene_files
-from p2wss.formats.tiles3d import tileset_files
 
 
 @dataclass(frozen=True)
@@ -57,10 +56,6 @@ MESH_WRITERS: dict[str, Writer] = {
     "helios": lambda bodies, frame, options: {
         f"{options.stem}_helios/{name}": content
         for name, content in helios.scene_files(bodies, frame).items()
-    },
-    "3dtiles": lambda bodies, frame, options: {
-        f"{options.stem}_3dtiles/{name}": content
-        for name, content in tileset_files(bodies, frame, options.facts).items()
     },
 }
 # those that `--per-building` writes a file of per mesh
