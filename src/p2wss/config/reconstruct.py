@@ -157,8 +157,8 @@ class Reconstruct(Section):
     outputs: list[Output] = Field(
         ["cityjsonseq", "gpkg", "report"],
         min_length=1,
-        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, helios, "
-        )
+        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, helios, ",
+    )
     attribute_names: Literal["p2wss", "3dbag"] = Field(
         "p2wss", description="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one"
     )

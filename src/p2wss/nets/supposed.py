@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +21,7 @@ from p2wss.nets.clues import (
     features_of,
 )
 from p2wss.nets.weights_file import read_metadata
+from p2wss.skeleton.compiled import entry
 
 KIND = "completion"
 # metres by which footprints are simplified until they have few enough vertices
@@ -165,7 +167,13 @@ def _blocks(name: str, weights: _Weights) -> list[str]:
 
 
 def _gelu(x: np.ndarray) -> np.ndarray:
-    """x times the share of a normal distribution below x."""
-    from scipy.special import ndtr
+    """x times the share of a normal distribution below x; of scipy, it takes a tenth of a second to load."""
+    return np.asarray(_gelus(x.ravel())).reshape(x.shape)
 
-    return np.asarray(x * ndtr(x))
+
+@entry
+def _gelus(x: np.ndarray) -> np.ndarray:
+    result = np.empty(len(x))
+    for k in range(len(x)):
+        result[k] = x[k] * (0.5 + 0.5 * math.erf(x[k] / math.sqrt(2.0)))
+    return result

@@ -100,6 +100,7 @@ def warm_product() -> None:
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.measures import party_wall_areas_m2
+    from p2wss.reconstruct.network import with_supposed_roofs
     from p2wss.reconstruct.pipeline import run
 
     features, cloud = sample()
@@ -112,7 +113,7 @@ def warm_product() -> None:
     point_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[within]
     for few in (point_m[::60], point_m[::8]):
         building = Building("b", "sample", (0.0, 0.0), [ring], few, np.full(len(few), 6, np.uint8), 0.0)
-        fitting.fit([building], config)
+        fitting.fit(with_supposed_roofs([building]), config)
     # only roofs with four walls at one place, or with open ground within
     pair, one = np.zeros((1, 2), np.int64), np.zeros(1)
     problem = problem_of(

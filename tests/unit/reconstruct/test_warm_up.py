@@ -12,6 +12,7 @@ from numba.core.registry import CPUDispatcher
 import p2wss.fit
 from p2wss.clouds import cropping
 from p2wss.config import Reconstruct
+from p2wss.nets import supposed
 from p2wss.reconstruct import warm_up
 from p2wss.reconstruct.pipeline import run
 
@@ -22,7 +23,7 @@ NOT_CALLED = {"inherited_angles"}
 def entries() -> Iterator[CPUDispatcher]:
     """The compiled functions of the fit and of the cropping that Python calls."""
     names = [module.name for module in pkgutil.walk_packages(p2wss.fit.__path__, "p2wss.fit.")]
-    for module in (*map(importlib.import_module, names), cropping):
+    for module in (*map(importlib.import_module, names), cropping, supposed):
         for function in vars(module).values():
             if isinstance(function, CPUDispatcher) and function.py_func.__module__ == module.__name__:
                 options = function.targetoptions
