@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 # before the functions of the same names: the first import of a package would replace them
 import p2wss.fetch  # noqa: F401
 import p2wss.reconstruct  # noqa: F401
+from p2wss.storage.arguments import public
 from p2wss.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ __all__ = [
 ]
 
 
+@public
 def reconstruct(
     cloud: CloudInput,
     footprints: FootprintInput | None = None,
@@ -70,13 +72,13 @@ def reconstruct(
     """Reconstruct buildings: one closed solid per footprint, or the reason why there is none.
 
     cloud: LAS, LAZ or COPC files or folders of them, points as an array (n, 3), or (n, 4) with LAS classes, or what
-    laspy has read. footprints: a vector file or a table with polygons, in any CRS; None for outlines that are derived
-    from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only the buildings of
-    these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run. terrain: a raster of
-    heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model: weights of
-    Point2WSS, or ``"none"`` for no network at all; by default those that come with the package where parametric roofs
-    are asked for, and otherwise only a network that completes roofs of few points. config: a file, or sections such as
-    ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
+    laspy has read. footprints: a vector file, a table with polygons, or polygons alone, in any CRS; None for outlines
+    that are derived from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only
+    the buildings of these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run.
+    terrain: a raster of heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model:
+    weights of Point2WSS, or ``"none"`` for no network at all; by default those that come with the package where
+    parametric roofs are asked for, and otherwise only a network that completes roofs of few points. config: a file, or
+    sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
     config/default.yaml describe every setting. threads: of the network; without one, as many processes
     fit. progress: whether to show a bar, or a function that is called with (number done, number in all).
 
@@ -105,6 +107,7 @@ def reconstruct(
     )
 
 
+@public
 def read(path: str | Path) -> Scene:
     """The buildings of a CityJSON file or text sequence, by this package or another program, at the highest level of
     detail that each has.
@@ -116,6 +119,7 @@ def read(path: str | Path) -> Scene:
     return scene.read(path)
 
 
+@public
 def evaluate(
     buildings: Scene | str | Path,
     footprints: FootprintInput,
@@ -135,6 +139,7 @@ def evaluate(
     return files.evaluate(buildings, footprints, clouds, crs=crs, id_field=id_field, height_unit=height_unit)
 
 
+@public
 def outlines(
     cloud: CloudInput,
     *,
@@ -149,6 +154,7 @@ def outlines(
     return read_outlines(check_inputs(cloud, None, settings, crs), settings)[1].to_frame()
 
 
+@public
 def check(path: str | Path) -> Validity:
     """Whether the solids of a CityJSON file follow the rules of ISO 19107, with the default tolerances of val3dity.
 
@@ -159,6 +165,7 @@ def check(path: str | Path) -> Validity:
     return check_file(path)
 
 
+@public
 def fetch(
     bbox: tuple[float, float, float, float],
     crs: str = "EPSG:4326",
@@ -183,6 +190,7 @@ def fetch(
     return fetch_area(bbox, crs, Path(folder), settings)
 
 
+@public
 def roof(
     footprint: shapely.Polygon | shapely.MultiPolygon | ArrayLike,
     eave_height_m: float,
@@ -205,6 +213,7 @@ def roof(
     return roof_mesh(footprint, eave_height_m, angle_deg)
 
 
+@public
 def scan(
     meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh] | Scene,
     terrain: str | Path | None = None,
@@ -215,6 +224,8 @@ def scan(
     threads: int = 1,
 ) -> laspy.LasData:
     """An airborne LiDAR survey over meshes, simulated by ray casting (section 5.1 of the paper).
+
+    Needs the extra ``scan``.
 
     meshes: closed, z up, metres. terrain: a raster of heights; by default level ground at the lowest vertex. config:
     its section ``scans`` describes the scanner and the flight. Points have LAS classes (2 ground, 6 building) and the

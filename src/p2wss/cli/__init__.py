@@ -21,6 +21,7 @@ from click.shell_completion import shell_complete
 
 from p2wss import __version__
 from p2wss.storage import log_lines
+from p2wss.storage.arguments import missing_extra
 from p2wss.storage.errors import InputError
 
 # module and command have the same name
@@ -51,15 +52,6 @@ COMMANDS = {
         "completion": "train the network that completes roofs of few points",
         "eval": "evaluate the methods and write the report",
     },
-}
-# packages that only some commands need, and the extras of pyproject.toml that bring them
-EXTRAS = {
-    "torch": "network",
-    "filelock": "network",
-    "embreex": "scan",
-    "matplotlib": "report",
-    "PIL": "report",
-    "snakemake": "workflow",
 }
 _COMPLETE = "_P2WSS_COMPLETE"
 
@@ -149,9 +141,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise
         return _failed("interrupted", 128 + signal.SIGINT)
     except ModuleNotFoundError as error:
-        if error.name not in EXTRAS:
-            raise
-        return _failed(f"error: needs {error.name}; type: pip install 'p2wss[{EXTRAS[error.name]}]'")
+        return _failed(f"error: {missing_extra(error)}")
     except (InputError, click.UsageError) as error:
         return _failed(f"error: {_message(error)}")
 

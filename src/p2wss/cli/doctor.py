@@ -11,8 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 import click
 
 import p2wss
-from p2wss.cli import EXTRAS
 from p2wss.cli.parser import Command
+from p2wss.storage.arguments import EXTRAS
 
 # programs and packages: without them
 COSTS = {

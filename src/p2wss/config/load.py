@@ -86,5 +86,6 @@ def _suggestion(error: Any) -> str:
     for part in error["loc"][:-1]:
         if isinstance(part, str) and part in getattr(model, "model_fields", {}):
             model = model.model_fields[part].annotation
-    matches = get_close_matches(str(error["loc"][-1]), getattr(model, "model_fields", {}), n=1)
+    key, names = str(error["loc"][-1]), getattr(model, "model_fields", {})
+    matches = [name for name in names if name.startswith(key)] or get_close_matches(key, names, n=1)
     return f" (did you mean {matches[0]}?)" if matches else ""

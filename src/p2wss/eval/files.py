@@ -29,10 +29,10 @@ from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas
-from p2wss.reconstruct.inputs import CloudInput, read_cloud_of
+from p2wss.reconstruct.inputs import CloudInput, FootprintInput, as_footprints, read_cloud_of
 from p2wss.reconstruct.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.errors import reading
+from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features
 
 # points up to this distance from the footprint are of the building
@@ -48,7 +48,7 @@ MEASURES = ("cd_m", "roof_cd_m", "points_to_mesh_m", "num_triangles")
 
 def evaluate(
     buildings: str | Path | Scene | Sequence[ReadSolid],
-    footprints: str | Path | gpd.GeoDataFrame,
+    footprints: FootprintInput,
     clouds: CloudInput,
     *,
     id_field: str | None = None,
@@ -106,11 +106,12 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _footprints(
-    footprints: str | Path | gpd.GeoDataFrame, id_field: str | None, crs: pyproj.CRS | None, layer: str
+    footprints: FootprintInput, id_field: str | None, crs: pyproj.CRS | None, layer: str
 ) -> gpd.GeoDataFrame:
     """The polygons by id, in the CRS of the clouds if both are known."""
-    name = footprints if isinstance(footprints, str | Path) else "footprints"
-    if isinstance(footprints, str | Path):
+    footprints = as_footprints(footprints)
+    name = footprints if isinstance(footprints, Path) else "footprints"
+    if isinstance(footprints, Path):
         features, number = read_vector(footprints, None, layer)
     else:
         features, number = Features.of(footprints), footprints.index.to_numpy()
@@ -138,6 +139,8 @@ def _solids(
             if each.solid is not None
         ]
         return solids, buildings.crs
+    if not isinstance(buildings, list | tuple) or not all(isinstance(each, ReadSolid) for each in buildings):
+        raise InputError(f"buildings: state a scene or a CityJSON file, not a {type(buildings).__name__}")
     return buildings, None
 
 

@@ -62,8 +62,17 @@ def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
     if stated.is_geographic != in_degrees:
         unit = "degrees" if stated.is_geographic else "metres"
         raise InputError(f"bbox {_text(bbox)}: not in {unit}, as {stated.name} requires; state its CRS")
-    transformer = pyproj.Transformer.from_crs(stated, pyproj.CRS.from_user_input(region_crs), always_xy=True)
-    low_x, low_y, high_x, high_y = transformer.transform_bounds(x_min, y_min, x_max, y_max)
+    area = pyproj.CRS.from_user_input(region_crs).area_of_use
+    if area is not None and not are_near(area.bounds, _between(stated.to_wkt(), "EPSG:4326", bbox), 0):
+        unit = "degrees (longitude, latitude)" if in_degrees else "metres"
+        raise InputError(f"{_text(bbox)}: {unit} outside {area.name}, where {region_crs} is used")
+    return _between(stated.to_wkt(), region_crs, bbox)
+
+
+def _between(source: str, target: str, bbox: Bounds) -> Bounds:
+    """A box in ``source`` as one in ``target``."""
+    transformer = pyproj.Transformer.from_crs(source, target, always_xy=True)
+    low_x, low_y, high_x, high_y = transformer.transform_bounds(*bbox)
     return low_x, low_y, high_x, high_y
 
 
@@ -72,11 +81,7 @@ def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:
     metres can pass that is not at the origin of the CRS. Raises :class:`InputError` for one that is neither, or where
     the CRS is not used."""
     in_metres = max(map(abs, bbox[::2])) > 180 or max(map(abs, bbox[1::2])) > 90
-    unit, stated = ("metres", crs) if in_metres else ("degrees (longitude, latitude)", "EPSG:4326")
-    area = pyproj.CRS.from_user_input(crs).area_of_use
-    if area is not None and not are_near(area.bounds, bounds_in_region(bbox, stated, "EPSG:4326"), 0):
-        raise InputError(f"{_text(bbox)}: {unit} outside {area.name}, where {crs} is used")
-    return bounds_in_region(bbox, stated, crs)
+    return bounds_in_region(bbox, crs if in_metres else "EPSG:4326", crs)
 
 
 def bounds_around(place: str, radius_m: float, crs: str) -> Bounds:

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, TypeAlias
 import laspy
 import numpy as np
 import pyproj
+import shapely
 
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
 from p2wss.data.crs import MetricCrs, check_crs, common_crs, metric_crs, same_crs
 from p2wss.data.las_classes import LAS, ClassSet, class_set
+from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
@@ -31,7 +33,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("p2wss")
 CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.LasData | Cloud"
-FootprintInput: TypeAlias = "str | Path | gpd.GeoDataFrame"
+FootprintInput: TypeAlias = (
+    "str | Path | gpd.GeoDataFrame | gpd.GeoSeries | shapely.Geometry | Sequence[shapely.Geometry]"
+)
 # what messages and outputs call data without a file
 _CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
 
@@ -102,7 +106,12 @@ def check_inputs(
     weights = weights_to_use(None if model is None else Path(model), config.reconstruct)
     if weights is not None:
         read_metadata(weights, "model")
-    footprints = Path(footprints) if isinstance(footprints, str) else footprints
+    footprints = None if footprints is None else as_footprints(footprints)
+    for path in (
+        [cloud] if isinstance(cloud, str | Path) else cloud if isinstance(cloud, list | tuple) else []
+    ):
+        if str(path).lower().endswith(VECTOR):
+            raise InputError(f"{path}: is a vector file, no point cloud; the order is: clouds, footprints")
     for path in (footprints, terrain):
         if isinstance(path, str | Path) and not Path(path).exists():
             raise InputError(f"{path}: no such file")
@@ -215,17 +224,37 @@ def output_stem(cloud: Path) -> str:
 
 
 def _name(cloud: CloudInput) -> str:
-    if isinstance(cloud, np.ndarray | laspy.LasData | Cloud):
-        return _CLOUD.name
-    return output_stem(Path(cloud if isinstance(cloud, str | Path) else cloud[0]))
+    first = cloud[0] if isinstance(cloud, list | tuple) else cloud
+    return output_stem(Path(first)) if isinstance(first, str | Path) else _CLOUD.name
+
+
+def as_footprints(footprints: FootprintInput) -> Path | gpd.GeoDataFrame:
+    """A file or a table of footprints, of what a user gives; polygons alone are numbered.
+
+    Raises :class:`InputError` for what is neither.
+    """
+    if isinstance(footprints, str | Path):
+        return Path(footprints)
+    import geopandas as gpd
+
+    try:
+        if not isinstance(footprints, gpd.GeoDataFrame):
+            alone = [footprints] if isinstance(footprints, shapely.Geometry) else footprints
+            footprints = gpd.GeoSeries(alone).to_frame("geometry")
+        footprints.geometry  # noqa: B018
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"the footprints are a {type(footprints).__name__}; give a vector file, a GeoDataFrame or polygons,"
+            " after the cloud"
+        ) from error
+    return footprints
 
 
 def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]:
     """The headers of files, or that of points in memory and these."""
-    if isinstance(cloud, str | Path):
-        cloud = [cloud]
-    if not isinstance(cloud, np.ndarray | laspy.LasData | Cloud):
-        return reading.read_headers(reading.list_clouds([Path(path) for path in cloud])), None
+    files = [cloud] if isinstance(cloud, str | Path) else cloud
+    if isinstance(files, list | tuple) and files and all(isinstance(each, str | Path) for each in files):
+        return reading.read_headers(reading.list_clouds([Path(path) for path in files])), None
     points = _in_memory(cloud)
     bounds = None
     if len(points):
@@ -234,18 +263,26 @@ def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]
     return [CloudHeader(_CLOUD, len(points), points.crs, bounds)], points
 
 
-def _in_memory(cloud: np.ndarray | laspy.LasData | Cloud) -> Cloud:
+def _in_memory(cloud: CloudInput) -> Cloud:
     if isinstance(cloud, Cloud):
         return cloud
     if isinstance(cloud, laspy.LasData):
         return reading.cloud_of(cloud)
-    if cloud.ndim != 2 or cloud.shape[1] not in (3, 4):
+    try:
+        points = np.asarray(cloud, dtype=float)
+    except (TypeError, ValueError) as error:
         raise InputError(
-            f"the cloud has shape {cloud.shape}; give points as (n, 3), or (n, 4) with LAS classes"
+            f"the cloud is a {type(cloud).__name__}; give LAS files or points, before the footprints"
+        ) from error
+    if points.ndim != 2 or points.shape[1] not in (3, 4):
+        raise InputError(
+            f"the cloud has shape {points.shape}; give points as (n, 3), or (n, 4) with LAS classes"
         )
     # 1: unclassified
-    classes = cloud[:, 3] if cloud.shape[1] == 4 else np.ones(len(cloud))
-    x_m, y_m, z_m = np.ascontiguousarray(cloud[:, :3].T, dtype=float)
+    classes = points[:, 3] if points.shape[1] == 4 else np.ones(len(points))
+    if not np.isfinite(points).all() or not ((classes >= 0) & (classes < 256)).all():
+        raise InputError("the cloud has coordinates that are not finite, or classes that are not 0 to 255")
+    x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
     return Cloud(x_m, y_m, z_m, classes.astype(np.uint8), None)
 
 

@@ -43,6 +43,7 @@ from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
+from p2wss.storage.arguments import checked
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features
 from p2wss.storage.progress import Progress
@@ -213,6 +214,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             result.add_geometry(body.mesh.to_trimesh(), node_name=body.name, geom_name=body.name)
         return result
 
+    @checked
     def write(
         self, folder: str | Path, formats: Iterable[str] | None = None, name: str | None = None
     ) -> list[Path]:

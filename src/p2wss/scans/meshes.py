@@ -13,6 +13,7 @@ import trimesh
 
 from p2wss.clouds.scan_files import as_las
 from p2wss.config import Scans
+from p2wss.data.crs import parsed_crs
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.scans.scan import Place, fly, las_dimensions
 from p2wss.scans.surface import Surface, encode_face
@@ -38,12 +39,16 @@ def scan_meshes(
     """See :func:`p2wss.scan`."""
     if isinstance(meshes, Mapping):
         crs = crs or getattr(meshes, "crs", None)
-        meshes = [each.mesh for each in meshes.values()]
-    meshes = [
-        each for each in ([meshes] if isinstance(meshes, trimesh.Trimesh) else meshes) if len(each.faces)
-    ]
+        meshes = [getattr(each, "mesh", each) for each in meshes.values()]
+    if isinstance(meshes, trimesh.Scene):
+        meshes = meshes.dump()
+    meshes = list(meshes) if isinstance(meshes, list | tuple | np.ndarray) else [meshes]
+    if wrong := [each for each in meshes if not isinstance(each, trimesh.Trimesh)]:
+        raise InputError(f"meshes: a {type(wrong[0]).__name__} is no trimesh.Trimesh")
+    meshes = [each for each in meshes if len(each.faces)]
     if not meshes:
         raise InputError("no mesh to scan")
+    stated = None if crs is None else parsed_crs(crs, "crs")
     low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
     high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
     bounds = (
@@ -59,7 +64,6 @@ def scan_meshes(
     grid = local_grid(ground.height_m, ground.x_min_m, ground.y_max_m, ground.cell_m, origin)
     place = Place("the meshes", origin, bounds, bounds)
     survey, points, _ = fly(_surface(meshes, grid, origin), place, settings, seed, threads)
-    stated = None if crs is None else pyproj.CRS.from_user_input(crs)
     return as_las(las_dimensions(points, survey), origin, stated)
 
 

@@ -14,7 +14,7 @@ from p2wss import skeleton
 from p2wss.config import Buildings
 from p2wss.data import polygon_arrays
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import InputError, reading
 
 
 def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
@@ -90,12 +90,13 @@ def roof_mesh(
             f"the footprint is a {footprint.geom_type}, not one polygon: call p2wss.roof once for each polygon"
         )
     if not isinstance(footprint, shapely.Polygon):
-        footprint = shapely.Polygon(np.asarray(footprint, float))
+        with reading("footprint", "one polygon"):
+            footprint = shapely.Polygon(np.asarray(footprint, float))
     polygons = polygon_arrays.to_polygons(np.array([footprint], dtype=object))
     num_edges = len(polygons.xy_m)
-    angle = np.broadcast_to(
-        np.asarray(angle_deg, float), num_edges if np.ndim(angle_deg) == 0 else np.shape(angle_deg)
-    )
+    with reading("angle_deg", "one number, or one for each edge"):
+        angle = np.asarray(angle_deg, float)
+        angle = np.broadcast_to(angle, num_edges if angle.ndim == 0 else (len(angle),))
     if len(angle) != num_edges:
         raise InputError(f"the footprint has {num_edges} edges, but there are {len(angle)} angles")
     polygons, angle = _turned(polygons, angle)

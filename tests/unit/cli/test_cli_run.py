@@ -20,6 +20,7 @@ from p2wss import cli
 from p2wss.cli import doctor
 from p2wss.reconstruct import area
 from p2wss.storage import files
+from p2wss.storage.arguments import EXTRAS
 from p2wss.towns import write_demo
 
 
@@ -182,7 +183,7 @@ def test_the_doctor_says_what_is_missing_for_what(
     monkeypatch.setenv("PATH", "")
     assert cli.main(["doctor"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert {line.split()[0] for line in lines} > {*cli.EXTRAS, "p2wss", "cores", "pdal", "roofer"}
+    assert {line.split()[0] for line in lines} > {*EXTRAS, "p2wss", "cores", "pdal", "roofer"}
     slurm = next(line for line in lines if line.startswith("slurm"))
     assert slurm.endswith("invalid choice; pip install snakemake-executor-plugin-slurm")
     assert next(line for line in lines if line.startswith("pdal")).endswith("clouds that have no ground")

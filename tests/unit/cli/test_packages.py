@@ -14,6 +14,7 @@ from places import ROOT
 from p2wss import cli
 from p2wss.cli import importing
 from p2wss.config.generate import default_yaml, json_schema
+from p2wss.storage.arguments import EXTRAS
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -24,7 +25,7 @@ def names(requirements: list[str]) -> set[str]:
 
 def test_a_missing_package_is_named_with_its_extra() -> None:
     extras = {name: names(needs) for name, needs in PROJECT["optional-dependencies"].items()}
-    for package, extra in cli.EXTRAS.items():
+    for package, extra in EXTRAS.items():
         distribution = {"PIL": "pillow"}.get(package, package)
         assert distribution in extras[extra] and distribution not in names(PROJECT["dependencies"])
 
@@ -42,7 +43,7 @@ REST = ["--checkpoints", "c", "--out-metrics", "m"]
 
 def test_reconstruction_imports_nothing_of_the_extras() -> None:
     # None: an import of it fails
-    blocked = f"import sys; sys.modules.update(dict.fromkeys({[*cli.EXTRAS]}))"
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({[*EXTRAS]}))"
     imports = "from p2wss.reconstruct import scene, exports; import p2wss.formats.outputs, p2wss.eval.files"
     subprocess.run([sys.executable, "-c", f"{blocked}\n{imports}"], check=True)
 

@@ -1,0 +1,173 @@
+"""Arguments of the public functions, checked before anything slow begins, and errors in their words.
+
+A parameter is checked by its name, since one name means the same in every function.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+import re
+from collections.abc import Callable, Iterable
+from functools import wraps
+from numbers import Integral, Real
+from typing import Any, ParamSpec, TypeVar
+
+from p2wss.storage.errors import InputError
+
+# packages that only some functions need, and the extras of pyproject.toml that bring them
+EXTRAS = {
+    "torch": "network",
+    "filelock": "network",
+    "embreex": "scan",
+    "matplotlib": "report",
+    "PIL": "report",
+    "snakemake": "workflow",
+}
+_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def missing_extra(error: ModuleNotFoundError) -> InputError:
+    """What to install for a package that is missing. Raises ``error`` for a package that no extra brings."""
+    package = str(error.name).split(".")[0]
+    if package not in EXTRAS:
+        raise error
+    return InputError(f"needs {package}; type: pip install 'p2wss[{EXTRAS[package]}]'")
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """The function with its arguments checked by :data:`_CHECKS`: a wrong one raises :class:`InputError`.
+
+    None is right where it is the default.
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def of_checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            bound = signature.bind(*args, **kwargs)
+        except TypeError:
+            return function(*args, **kwargs)  # which raises it with the name of the function
+        for name, value in bound.arguments.items():
+            if name in _CHECKS and not (value is None and signature.parameters[name].default is None):
+                check, expected = _CHECKS[name]
+                try:
+                    bound.arguments[name] = check(value)
+                except (TypeError, ValueError) as error:
+                    shown = " ".join(repr(value).split())
+                    shown = shown if len(shown) < 60 else f"a {type(value).__name__}"
+                    raise InputError(f"{name}: state {expected}, not {shown}") from error
+        return function(*bound.args, **bound.kwargs)
+
+    return of_checked
+
+
+def public(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, :func:`checked`, with errors in words of Python: parameters and settings for options of commands,
+    and the extra to install for a package that is missing."""
+    parameters = inspect.signature(function).parameters
+    inner = checked(function)
+
+    def word(match: re.Match[str]) -> str:
+        name = match[1].replace("-", "_")
+        return f"{name}=" if name in parameters else f"reconstruct.{name}"
+
+    @wraps(function)
+    def in_words(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            return inner(*args, **kwargs)
+        except ModuleNotFoundError as error:
+            raise missing_extra(error) from error
+        except InputError as error:
+            text = _OPTION.sub(word, str(error))
+            if text == str(error):
+                raise
+            raise InputError(text) from error
+
+    return in_words
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError
+    return value
+
+
+def _path(value: Any) -> Any:
+    if not isinstance(value, str | os.PathLike) or "\0" in os.fsdecode(value):
+        raise TypeError
+    return value
+
+
+def _crs(value: Any) -> Any:
+    if not isinstance(value, str | Integral) and not hasattr(value, "to_epsg"):  # pyproj.CRS
+        raise TypeError
+    return value
+
+
+def _config(value: Any) -> Any:
+    if not isinstance(value, str | os.PathLike | dict) and not hasattr(value, "reconstruct"):  # Config
+        raise TypeError
+    return value
+
+
+def _names(value: Any) -> list[str]:
+    if isinstance(value, str):
+        return [value]
+    if not isinstance(value, Iterable):
+        raise TypeError
+    return list(map(str, value))
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        raise TypeError
+    return float(value)
+
+
+def _at_least(low: int) -> Callable[[Any], int]:
+    def check(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, Integral) or value < low:
+            raise TypeError
+        return int(value)
+
+    return check
+
+
+def _box(value: Any) -> tuple[float, ...]:
+    x_min, y_min, x_max, y_max = box = tuple(map(_number, value))
+    if x_min > x_max or y_min > y_max:
+        raise ValueError
+    return box
+
+
+def _progress(value: Any) -> Any:
+    if not isinstance(value, bool) and not callable(value):
+        raise TypeError
+    return value
+
+
+_A_PATH = (_path, "a path")
+# by the name of a parameter: what returns the value in one form, or raises TypeError or ValueError; what is expected
+_CHECKS: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "path": _A_PATH,
+    "folder": _A_PATH,
+    "terrain": _A_PATH,
+    "model": _A_PATH,
+    "crs": (_crs, "a CRS, such as EPSG:28992"),
+    "config": (_config, "a file or sections of the config"),
+    "ids": (_names, "ids of buildings"),
+    "formats": (_names, "names of formats"),
+    "name": (_text, "text"),
+    "id_field": (_text, "the name of a column"),
+    "detail": (_text, '"low", "normal" or "high"'),
+    "height_unit": (_text, "text"),
+    "bbox": (_box, "four numbers: x_min, y_min, x_max, y_max"),
+    "eave_height_m": (_number, "metres"),
+    "threads": (_at_least(1), "a whole number, at least 1"),
+    "seed": (_at_least(0), "a whole number, at least 0"),
+    "progress": (_progress, "True, False or a function of two numbers"),
+}
