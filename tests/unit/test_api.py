@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import doctest
 import inspect
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -67,6 +69,54 @@ def test_functions_stay_functions_when_their_packages_are_imported() -> None:
     import p2wss.reconstruct.area
 
     assert callable(p2wss.reconstruct) and callable(p2wss.fetch)
+
+
+HOST = """
+import gc, os, pickle, sqlite3, sys
+affinity = getattr(os, "sched_getaffinity", lambda _: None)
+state = lambda: (dict(os.environ), [name for name, each in sys.modules.items() if each is None], affinity(0))
+before = state()
+import p2wss
+import geopandas, shapely
+from test_api import footprints, gable_points
+before = before[0], state()[1], before[2]  # other packages try for modules that they can do without
+scene = p2wss.reconstruct(gable_points(), footprints()[:1], model="none", progress=False)
+scene.write(sys.argv[1], ["gpkg", "glb"])
+assert state() == before and gc.isenabled() and gc.get_freeze_count() == 0
+for path in (f"{sys.argv[1]}/cloud.gpkg", f"{sys.argv[1]}/own.gpkg"):
+    geopandas.GeoSeries([shapely.box(0, 0, 1, 1)], crs=2154).to_file(f"{sys.argv[1]}/own.gpkg")
+    print(sqlite3.connect(path).execute("SELECT last_change FROM gpkg_contents").fetchone()[0][:4])
+"""
+
+
+def test_the_process_of_the_host_is_as_before(tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(ROOT / "tests/unit")])}
+    environment.pop("OGR_CURRENT_DATE", None)
+    words = [sys.executable, "-c", HOST, str(tmp_path)]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    ours, own = done.stdout.split()
+    assert (
+        ours == "1970" and int(own) >= 2025
+    )  # the same bytes in every run; the host's files have their time
+
+
+def test_names_are_those_of_the_interface() -> None:
+    assert {*dir(p2wss)} == {*p2wss.__all__, "__version__"}
+    words = [sys.executable, "-m", "p2wss", "--version"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    output = subprocess.run(words, env=environment, capture_output=True, text=True)
+    assert output.stdout == f"p2wss {p2wss.__version__}\n", output.stderr
+
+
+def test_a_scene_can_be_copied_and_pickled(tmp_path: Path) -> None:
+    scene = p2wss.reconstruct(gable_points(), footprints()[:1], model="none", progress=False)
+    for each in (pickle.loads(pickle.dumps(scene)), copy.copy(scene), copy.deepcopy(scene)):
+        np.testing.assert_array_equal(each["a"].mesh.vertices, scene["a"].mesh.vertices)
+        assert each.summary == scene.summary and dict(each["a"].attributes) == dict(scene["a"].attributes)
+        assert each.crs == scene.crs and len(each.write(tmp_path, ["obj"])) == 2
+        with pytest.raises(p2wss.InputError, match="has no points"):
+            each.points("a")
 
 
 def gable_points(x_m: float = 0.0) -> np.ndarray:

@@ -26,6 +26,6 @@ def outlines(clouds: tuple[Path, ...], out: Path, crs: str | None, config: Confi
     from p2wss.reconstruct.inputs import check_inputs, read_outlines
 
     _, features = read_outlines(check_inputs(clouds, None, config, crs, model="none"), config)
-    with files.atomic(out) as path:
+    with files.atomic(out) as path, files.gdal_options():
         features.to_frame().to_file(path, driver="GPKG", layer="outlines")
     log.info("%s: %d outlines, %.0f m2", out, len(features), features["area_m2"].sum())

@@ -98,7 +98,8 @@ def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[s
     """Write a GeoPackage with a layer ``footprints``; ``metadata`` is stored as JSON under the key ``p2wss``."""
     # built in memory, because SQLite reports a full disk as an error of some later, unrelated statement
     file = BytesIO()
-    pyogrio.write_dataframe(
-        frame, file, layer="footprints", driver="GPKG", layer_metadata={"p2wss": json.dumps(metadata)}
-    )
+    with files.gdal_options():
+        pyogrio.write_dataframe(
+            frame, file, layer="footprints", driver="GPKG", layer_metadata={"p2wss": json.dumps(metadata)}
+        )
     files.write_bytes(path, file.getbuffer(), seal=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
@@ -45,20 +44,16 @@ def write(
     with files.atomic(path, seal=True) as temporary:
         # GDAL creates the file itself, and refuses an empty one
         temporary.unlink()
-        before = {name: pyogrio.get_gdal_config_option(name) for name in _OPTIONS}
-        pyogrio.set_gdal_config_options(_OPTIONS)
         try:
-            _add_layer(
-                temporary, layer, features, dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)}
-            )
-            for name, rows in (more or {}).items():
-                _add_layer(temporary, name, rows, append=True)
+            with files.gdal_options(**_OPTIONS):
+                metadata = {"p2wss": json.dumps(facts, sort_keys=True)}
+                _add_layer(temporary, layer, features, dataset_metadata=metadata)
+                for name, rows in (more or {}).items():
+                    _add_layer(temporary, name, rows, append=True)
             if style:
                 _add_style(temporary, layer, style)
         except (RuntimeError, sqlite3.Error) as error:  # of a full disk, for instance, and no OSErrors
             raise OSError(str(error)) from error
-        finally:
-            pyogrio.set_gdal_config_options(before)
 
 
 def _add_layer(path: Path, name: str, features: Features, **options: Any) -> None:
@@ -84,10 +79,10 @@ def _add_style(path: Path, layer: str, style: str) -> None:
         file.execute(
             "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, styleName, "
             "styleQML, styleSLD, useAsDefault, update_time) VALUES ('', '', ?, 'geom', ?, ?, '', 1, ?)",
-            (layer, layer, style, os.environ["OGR_CURRENT_DATE"]),
+            (layer, layer, style, files.GPKG_DATE),
         )
         file.execute(
             "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change) "
             "VALUES ('layer_styles', 'attributes', 'layer_styles', ?)",
-            (os.environ["OGR_CURRENT_DATE"],),
+            (files.GPKG_DATE,),
         )

@@ -18,9 +18,11 @@ def _start_without_threads() -> None:
     if hasattr(os, "sched_setaffinity"):
         processors = os.sched_getaffinity(0)
         os.sched_setaffinity(0, {min(processors)})
-        cube = manifold3d.Manifold.cube()
-        (cube - cube.translate((0.5, 0.5, 0.5))).num_tri()
-        os.sched_setaffinity(0, processors)
+        try:
+            cube = manifold3d.Manifold.cube()
+            (cube - cube.translate((0.5, 0.5, 0.5))).num_tri()
+        finally:
+            os.sched_setaffinity(0, processors)
 
 
 _start_without_threads()

@@ -10,8 +10,12 @@ def set_num_threads(num_threads: int) -> None:
 
     On shared cores, OpenMP threads that spin while they wait make small operations 40 times slower.
     """
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    os.environ.setdefault("GOMP_SPINCOUNT", "0")
-    import torch
+    before = dict(os.environ)
+    os.environ.update({"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "0"} | before)
+    try:
+        import torch
+    finally:  # read by the libraries once, when they are loaded
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
 
     torch.set_num_threads(num_threads)

@@ -149,6 +149,10 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     def __repr__(self) -> str:
         return f"<Scene {self.name}: {len(self)} buildings, {'unknown CRS' if self.crs is None else self.crs.name}>"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, or a scene of another process, has the buildings, but not the run with its points."""
+        return _of_buildings, (list(self.values()), self.crs, self.config, self.name, self.plants)
+
     @property
     def bounds(self) -> Bounds | None:
         """x_min, y_min, x_max and y_max of all meshes, in the CRS of the scene; None without any."""
@@ -193,7 +197,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
         Raises :class:`InputError` for a scene that was read from a file, which has no points."""
         if self._run is None:
-            raise InputError(f"{self.name}: has no points, as it was read from a file")
+            raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
         footprint = self[building_id].footprint
         if footprint is None:
             return np.zeros((0, 3))
@@ -411,6 +415,17 @@ def read(path: str | Path) -> Scene:
     name = path.name.split(".")[0]
     ids = [each.building_id for each in solids]
     return Scene(ids, lambda k: _of_file(solids[k]), crs, config, name, plants=plants)
+
+
+def _of_buildings(
+    buildings: Sequence[SceneBuilding],
+    crs: pyproj.CRS | None,
+    config: Config,
+    name: str,
+    plants: Sequence[Mesh],
+) -> Scene:
+    ids = [each.building_id for each in buildings]
+    return Scene(ids, buildings.__getitem__, crs, config, name, plants=plants)
 
 
 def bounds_of(meshes: Sequence[Mesh]) -> Bounds | None:

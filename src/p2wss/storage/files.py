@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
 # GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
-os.environ.setdefault("OGR_CURRENT_DATE", "1970-01-01T00:00:00.000Z")
-
+GPKG_DATE = "1970-01-01T00:00:00.000Z"
 METADATA_KEY = b"p2wss"
 _CHECKSUM_KEY = b"p2wss.checksum"
 _JSON_CHECKSUM = "checksum"
@@ -43,6 +42,20 @@ ROW_GROUP_SIZE = 512
 def provenance(**facts: Any) -> dict[str, Any]:
     """Metadata for a file: the version of the package and ``facts`` (config, code, crs, ..)."""
     return {"version": __version__, **facts}
+
+
+@contextmanager
+def gdal_options(**options: str) -> Iterator[None]:
+    """Options of GDAL, with :data:`GPKG_DATE` in GeoPackages, in the block alone: others use GDAL in this process."""
+    import pyogrio
+
+    options = {"OGR_CURRENT_DATE": GPKG_DATE, **options}
+    before = {name: pyogrio.get_gdal_config_option(name) for name in options}
+    pyogrio.set_gdal_config_options(options)
+    try:
+        yield
+    finally:
+        pyogrio.set_gdal_config_options(before)
 
 
 @contextmanager

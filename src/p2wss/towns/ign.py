@@ -58,8 +58,7 @@ def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Gener
         ["nombre_de_logements", "nombre_d_etages"]
     ].astype("Int32")
     file = BytesIO()
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": f"{DATE.isoformat()}T00:00:00.000Z"})
-    try:
+    with files.gdal_options(OGR_CURRENT_DATE=f"{DATE.isoformat()}T00:00:00.000Z"):
         pyogrio.write_dataframe(
             frame,
             file,
@@ -68,8 +67,6 @@ def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Gener
             geometry_type="MultiPolygon Z",
             GEOMETRY_NAME="geometrie",
         )
-    finally:
-        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
     files.write_bytes(path, file.getvalue())
 
 

@@ -54,7 +54,7 @@ WRONG = [
     ("gone.laz", "footprints.gpkg", [], "gone.laz: no such file"),
     ("empty", "footprints.gpkg", [], "empty: has no LAS or LAZ file"),
     ("text.laz", "footprints.gpkg", [], "text.laz: not a readable LAS, LAZ or COPC file"),
-    ("footprints.gpkg", "cloud.laz", [], "footprints.gpkg: not a readable LAS, LAZ or COPC file"),
+    ("footprints.gpkg", "cloud.laz", [], "footprints.gpkg: is a vector file, no point cloud"),
     ("cloud.laz", "footprints.gpkg", ["--crs", "EPSG:28992"], "but --crs states Amersfoort / RD New"),
     ("unstated.laz", "degrees.gpkg", [], "degrees.gpkg is in degrees, which is unlikely for clouds"),
     ("cloud.laz", "gone.gpkg", [], "gone.gpkg: no such file"),
