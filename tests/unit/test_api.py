@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import doctest
+import html
 import inspect
 import json
 import os
@@ -12,6 +13,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
@@ -117,6 +119,48 @@ def test_a_scene_can_be_copied_and_pickled(tmp_path: Path) -> None:
         assert each.crs == scene.crs and len(each.write(tmp_path, ["obj"])) == 2
         with pytest.raises(p2wss.InputError, match="has no points"):
             each.points("a")
+
+
+def test_a_scene_is_shown_as_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = p2wss.reconstruct(gable_points(), footprints()[:2], model="none", progress=False)
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    path = scene.show()
+    assert (
+        path is not None and opened == [path.as_uri()] and path.read_text(encoding="utf-8") == scene.to_html()
+    )
+    assert (
+        'id="viewer-data"' in scene.to_html()
+        and 'id="viewer-data"' in pickle.loads(pickle.dumps(scene)).to_html()
+    )
+    # within a notebook
+    shown: list[object] = []
+    shell = SimpleNamespace(kernel=object())
+    display = SimpleNamespace(display=lambda each: shown.append(each._repr_html_()))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell, display=display))
+    assert scene.show() is None and len(opened) == 1
+    (text,) = shown
+    inner = re.fullmatch(r'<iframe srcdoc="([^"]*)".*</iframe>', str(text), re.DOTALL)
+    assert inner is not None and html.unescape(inner[1]) == scene.to_html()
+
+
+def test_a_scene_is_drawn_by_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    scene = p2wss.reconstruct(gable_points(), footprints()[:2], model="none", progress=False)
+    assert [each.status for each in scene.values()] == ["ok", "none"]
+    plan = scene.plot("plan")
+    boxes = [path.get_extents().bounds for path in plan.collections[0].get_paths()]
+    # the outline without a mesh, and two roofs of 10 by 3 m
+    assert boxes[0] == pytest.approx((50, 0, 10, 6)) and len(boxes) == 3
+    assert sorted(box[1] for box in boxes[1:]) == pytest.approx([0, 3], abs=0.3)
+    oblique = scene.plot(ids="a")
+    assert len(oblique.collections[0].get_paths()) == 4  # two walls and two roofs are seen
+    pyplot.close("all")
+    with pytest.raises(p2wss.InputError, match="choose from plan, oblique"):
+        scene.plot("above")
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(p2wss.InputError, match=r"needs matplotlib; type: pip install 'p2wss\[report\]'"):
+        scene.plot()
 
 
 def gable_points(x_m: float = 0.0) -> np.ndarray:

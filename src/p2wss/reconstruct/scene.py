@@ -6,8 +6,11 @@ more memory than its points of one batch.
 
 from __future__ import annotations
 
+import html
 import logging
+import sys
 import tempfile
+import webbrowser
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -32,7 +35,16 @@ from p2wss.formats.meshes import Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
-from p2wss.reconstruct import block_skins, exports, plausibility, registration, unclassified, vegetation
+from p2wss.reconstruct import (
+    block_skins,
+    exports,
+    page,
+    picture,
+    plausibility,
+    registration,
+    unclassified,
+    vegetation,
+)
 from p2wss.reconstruct.area import MARGIN_M, Area, chosen, cleaned, in_tile, read_features, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -43,7 +55,7 @@ from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
-from p2wss.storage.arguments import checked
+from p2wss.storage.arguments import checked, public
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features
 from p2wss.storage.progress import Progress
@@ -249,13 +261,37 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         frame = frame_around(bodies, "" if self.crs is None else self.crs.to_string())
         return exports.write_meshes(folder, name, bodies, frame, settings, {})
 
-    def show(self) -> Any:
-        """Show the meshes: within a notebook in a cell, else in a window (which needs ``pyglet<2``)."""
-        scene = self.to_trimesh()
-        scene.apply_translation(
-            -scene.bounds.mean(axis=0)
-        )  # 32 bits of a graphics card are not enough for a CRS
-        return scene.show()
+    def to_html(self) -> str:
+        """The page of the scene: buildings in 3D and in a table, which needs no other file and no internet."""
+        if self._run is None:
+            return page.page_of_scenes(self.name, {self.name: self}, None)
+        return page.page_of_run(self._run.results, self.name, self._run.inputs.crs, self.plants)
+
+    def _repr_html_(self) -> str:
+        """That page in a cell of a notebook."""
+        return f'<iframe srcdoc="{html.escape(self.to_html())}" style="width:100%;height:46rem;border:0"></iframe>'
+
+    def show(self) -> Path | None:
+        """Show the page of the scene: in a notebook below the cell, and otherwise in the browser, from a temporary file
+        whose path it returns."""
+        ipython = sys.modules.get("IPython")
+        if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
+            ipython.display.display(self)
+            return None
+        path = Path(tempfile.mkdtemp(prefix="p2wss-")) / "scene.html"
+        files.write_text(path, self.to_html())
+        webbrowser.open(path.as_uri())
+        return path
+
+    @public
+    def plot(self, view: str = "oblique", *, ids: Sequence[str] | None = None, axes: Any = None) -> Any:
+        """A picture by matplotlib (the extra ``report``): the axes, on which more can be drawn.
+
+        view: ``oblique``, or ``plan`` in the CRS of the scene, footprints without a mesh in outline. ids: of the
+        buildings to draw, None for all. axes: to draw on, None for new ones.
+        """
+        chosen = self.values() if ids is None else [self[each] for each in ids]
+        return picture.plot(chosen, view, axes)
 
     def _bodies(self, skin: bool) -> list[Body]:
         bodies = [
