@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import doctest
 import html
@@ -142,6 +143,24 @@ def test_a_scene_is_shown_as_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
     (text,) = shown
     inner = re.fullmatch(r'<iframe srcdoc="([^"]*)".*</iframe>', str(text), re.DOTALL)
     assert inner is not None and html.unescape(inner[1]) == scene.to_html()
+
+
+def test_the_page_has_the_ground_what_has_no_mesh_and_the_files() -> None:
+    cloud = gable_points() + np.array([0, 0, 7, 0])
+    scene = p2wss.reconstruct(cloud, footprints()[:2], model="none", progress=False)
+    page = scene.to_html()
+    data = json.loads(page.split('id="viewer-data">')[1].split("</script>")[0])
+    meshes = {each["id"]: each["meshes"] for each in data["buildings"]}
+    assert list(meshes["a"]) == ["p2wss"] and list(meshes["b"]) == ["outlines"]
+    assert [each["state"] for each in data["buildings"]] == ["ok", "none"]
+    ground = next(each for each in data["around"] if each["key"] == "ground")
+    z_m = np.frombuffer(base64.b64decode(ground["vertices"]), "<i4").reshape(-1, 3)[:, 2] / 1000
+    wall = (
+        np.frombuffer(base64.b64decode(meshes["a"]["p2wss"]["vertices"]), "<i4").reshape(-1, 3)[:, 2] / 1000
+    )
+    assert np.ptp(z_m) < 0.2 and z_m.mean() == pytest.approx(wall.min(), abs=0.2)
+    assert data["crs"] == "RGF93 v1 / Lambert-93"
+    assert f"Made by p2wss {p2wss.__version__} of cloud, footprints." in page
 
 
 def test_a_scene_is_drawn_by_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:

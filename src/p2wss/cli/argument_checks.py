@@ -34,7 +34,7 @@ def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
     names = ", ".join(outputs)
-    if terrain is not None:
+    if terrain is not None and "report" not in outputs:  # whose page shows it
         raise InputError(
             f"--terrain {terrain}: {names} cannot hold a terrain; add a mesh format to --outputs, such as"
             " glb, or omit --terrain"

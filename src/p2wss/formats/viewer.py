@@ -11,11 +11,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
 from p2wss.formats import html
+from p2wss.formats.materials import MATERIALS, materials_of
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -28,7 +30,7 @@ FACE_COLORS = {
 }
 # what the attributes of a building say of it, as the legend has it
 OK, FLAGGED, FLAT, NONE = "ok", "flagged", "flat", "none"
-PLANT_COLOR = "#5f9350"
+PLANT_COLOR, GROUND_COLOR = "#5f9350", "#cfd4c9"
 # of the files that are compared with the first
 OTHER_COLORS = ("#2a6f97", "#3f7d4e", "#b8a13c", "#6c757d")
 # attribute: title of its column in the table, the first of them is sorted by
@@ -51,6 +53,21 @@ class Layer:
     name: str
     color: str
     is_ours: bool
+
+
+# footprints without a mesh, as flat meshes
+OUTLINES = Layer("outlines", "Footprints without a mesh", "#b3261e", is_ours=False)
+
+
+@dataclass(frozen=True)
+class Place:
+    """What is around the buildings of a scene, and how to read it. plants, ground: in the frame of the buildings; they
+    can be hidden. crs: its name. meanings: of reasons, causes and flags."""
+
+    plants: Sequence[Mesh] = ()
+    ground: Mesh | None = None
+    crs: str = ""
+    meanings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -80,21 +97,27 @@ class Viewer:
 
 
 def viewer(
-    buildings: Sequence[Shown], layers: Sequence[Layer], together: bool, plants: Sequence[Mesh] = ()
+    buildings: Sequence[Shown], layers: Sequence[Layer], together: bool, place: Place = Place()
 ) -> Viewer:
-    """The view of these buildings, of which there is at least one: one at a time, or all ``together``. plants: in the
-    frame of the buildings, which can be hidden."""
-    crowns = None
-    if plants:
-        crowns = {"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(Mesh.joined(plants))}
+    """The view of these buildings, of which there is at least one: one at a time, or all ``together``."""
+    around = []
+    if place.plants:
+        crowns = Mesh.joined(place.plants)
+        around.append({"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(crowns)})
+    if place.ground is not None:
+        around.append({"key": "ground", "name": "Ground", "color": GROUND_COLOR, **_mesh(place.ground)})
     data = {
         "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
         "methods": [
             {"key": layer.key, "name": layer.name, "color": layer.color, "ours": layer.is_ours}
+            | {"shown": layer.is_ours or layer == OUTLINES}
             for layer in layers
         ],
         "together": together,
-        "plants": crowns,
+        "around": around,
+        "crs": place.crs,
+        "meanings": place.meanings,
+        "materials": {name: "#{:02x}{:02x}{:02x}".format(*each.colour) for name, each in MATERIALS.items()},
         "buildings": [_building(building) for building in buildings],
     }
     assets = files("p2wss.formats") / "assets"
@@ -110,12 +133,11 @@ def scene_page(
     buildings: Sequence[Shown],
     layers: Sequence[Layer],
     shifts: Mapping[str, Any] | None = None,
-    plants: Sequence[Mesh] = (),
+    place: Place = Place(),
 ) -> str:
     """A page with all buildings in one picture and in a table.
 
-    summary: sentences above. shifts: of :func:`p2wss.formats.shift_map.content`, for a second tab. plants: those of
-    :func:`viewer`.
+    summary: sentences above. shifts: of :func:`p2wss.formats.shift_map.content`, for a second tab.
     """
     buildings = sorted(buildings, key=lambda building: -(_number(building.attributes, "residual_m") or 0.0))
     present = {
@@ -127,7 +149,7 @@ def scene_page(
         .render(
             title=title,
             summary=summary,
-            viewer=viewer(buildings, layers, together=True, plants=plants) if buildings else None,
+            viewer=viewer(buildings, layers, together=True, place=place) if buildings else None,
             columns={name: text for name, text in COLUMNS.items() if name in present or name == "state"},
             shifts=shifts,
         )
@@ -154,6 +176,11 @@ def _building(building: Shown) -> dict[str, Any]:
             name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in building.attributes.items()
         },
+        # the columns of the input come before our status
+        "inputs": list(takewhile(lambda name: name != "status", building.attributes))
+        if "status" in building.attributes
+        else [],
+        "materials": materials_of(building.attributes),
         "bounds": np.round([corners.min(axis=0), corners.max(axis=0)], 2).tolist(),
         "place": place_m.tolist(),
         "points": _base64(np.round((point_m - place_m) * 100).astype(np.int16)),
@@ -172,7 +199,7 @@ def _mesh(mesh: Mesh) -> dict[str, str]:
 
 
 def _state(building: Shown) -> str:
-    if not building.meshes:
+    if not building.meshes.keys() - {OUTLINES.key}:
         return NONE
     if building.attributes.get("status") == FLAT:
         return FLAT

@@ -86,7 +86,8 @@ def write(
         path = folder / f"{stem}{OUTPUT_SUFFIXES[output]}"
         names, paths = [f"{stem}{OUTPUT_SUFFIXES[output]}"], [path]
         if output == "report":
-            files.write_text(path, page_of_run(results, stem, crs, [plant.mesh for plant in plants]))
+            crowns = [plant.mesh for plant in plants]
+            files.write_text(path, page_of_run(results, stem, crs, facts, crowns, terrain))
         elif output in MESH_WRITERS:
             alone = config.model_copy(update={"outputs": [output]})
             paths = write_meshes(folder, stem, bodies, frame, alone, facts)

@@ -3,52 +3,74 @@ CityJSON files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle, pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pyproj
 import shapely
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.data import polygon_arrays
+from p2wss.data import polygon_arrays, reasons
+from p2wss.data.building import Reconstruction
 from p2wss.data.crs import horizontal
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.data.points import stride
 from p2wss.formats import shift_map, viewer
 from p2wss.formats.shift_map import Block, Footprint
-from p2wss.formats.viewer import Layer, Shown
+from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.attributes import attributes
 from p2wss.reconstruct.registration import NOTHING, Registration
 from p2wss.reconstruct.registration import summary as registration_summary
 from p2wss.reconstruct.result import Result, summary
+from p2wss.skeleton.types import FaceKind
 
 if TYPE_CHECKING:
     from p2wss.clouds.reading import Cloud
+    from p2wss.data.terrain import Terrain
     from p2wss.reconstruct.scene import Scene, SceneBuilding
 
 # more would make a page slow: the others are in the table of the run
 MAX_BUILDINGS, MAX_POINTS, MAX_PLANTS = 2000, 300_000, 5000
+GROUND_MARGIN_M, NUM_GROUND_CELLS = 25.0, 80
+_ABOVE_GROUND_M = 0.5
+# places whose distances to all buildings are in memory
+_MAX_TOGETHER = 500
 _OURS = "p2wss"
+# the heights of the ground at places (n, 2)
+Heights: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
-def page_of_run(results: Sequence[Result], stem: str, crs: pyproj.CRS, plants: Sequence[Mesh] = ()) -> str:
-    """The HTML of a run. stem: of the names of its files. plants: in the CRS."""
+def page_of_run(
+    results: Sequence[Result],
+    stem: str,
+    crs: pyproj.CRS,
+    facts: Mapping[str, Any],
+    plants: Sequence[Mesh] = (),
+    terrain: Terrain | None = None,
+) -> str:
+    """The HTML of a run. stem: of the names of its files. facts: of its provenance. plants, terrain: in the CRS."""
     worst = np.argsort([-np.nan_to_num(result.residual_m, nan=-1.0) for result in results], kind="stable")
     chosen = [results[number] for number in np.sort(worst[:MAX_BUILDINGS])]
-    origin_m = _origin_m([result.reconstruction.position_m for result in chosen])
+    position_m = [result.reconstruction.position_m for result in chosen]
+    origin_m, heights = _origin_m(position_m), _heights(position_m, terrain)
     every = stride(sum(len(result.sample_m) for result in chosen), MAX_POINTS)
-    buildings = [_shown(result, origin_m, every) for result in chosen]
-    sentences = [summary(results), *_left_out(len(results))]
+    buildings = [_shown(result, origin_m, every, heights) for result in chosen]
+    sentences = [summary(results), *_left_out(len(results)), _origin(facts)]
     rows, footprints, blocks = _moved(results)
     off = "registration: off, or the cloud has no points of class building"
-    sentences.append(registration_summary(rows) if rows else off)
-    shifts = shift_map.content(horizontal(crs).name, footprints, blocks) if rows else None
-    layer = Layer(_OURS, "Meshes", "#c8603a", is_ours=True)
-    return viewer.scene_page(stem, sentences, buildings, [layer], shifts, _placed(plants, origin_m))
+    sentences.insert(1, registration_summary(rows) if rows else off)
+    shifts = None
+    if any(row.shift_m != (0.0, 0.0) or row.flags for row in rows):
+        shifts = shift_map.content(horizontal(crs).name, footprints, blocks)
+    layers = [Layer(_OURS, "Meshes", "#c8603a", is_ours=True)]
+    if any(OUTLINES.key in each.meshes for each in buildings):
+        layers.append(OUTLINES)
+    place = _place(plants, buildings, origin_m, heights, horizontal(crs).name)
+    return viewer.scene_page(stem, sentences, buildings, layers, shifts, place)
 
 
 def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None) -> str:
@@ -84,17 +106,96 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
         distance_m = np.zeros(len(point_m))
         if first in meshes and len(point_m):
             distance_m = distance_to_mesh(point_m, meshes[first].vertex_m, meshes[first].triangle)
-            stated = {"residual_m": round(float(distance_m.mean()), 3), **stated}
+            stated = (
+                stated
+                if "residual_m" in stated
+                else {**stated, "residual_m": round(float(distance_m.mean()), 3)}
+            )
         placed = {name: mesh.translated(-origin_m) for name, mesh in meshes.items()}
         buildings.append(Shown(building_id, placed, point_m - origin_m, distance_m, stated))
     sentences = [f"{name}: {scene.summary}" for name, scene in scenes.items()]
     sentences += _left_out(len(by_id))
-    plants = _placed([plant for scene in scenes.values() for plant in scene.plants], origin_m)
-    return viewer.scene_page(title, sentences, buildings, layers, plants=plants)
+    plants = [plant for scene in scenes.values() for plant in scene.plants]
+    position_m = [
+        np.array([*solid.vertex_m.mean(axis=0)[:2], solid.vertex_m[:, 2].min()])
+        for members in solids
+        for solid in members
+    ]
+    crs, heights = scenes[first].crs, _heights(position_m, None)
+    place = _place(plants, buildings, origin_m, heights, "" if crs is None else horizontal(crs).name)
+    return viewer.scene_page(title, sentences, buildings, layers, place=place)
 
 
-def _placed(plants: Sequence[Mesh], origin_m: np.ndarray) -> list[Mesh]:
-    return [plant.translated(-origin_m) for plant in plants[:: stride(len(plants), MAX_PLANTS)]]
+def _origin(facts: Mapping[str, Any]) -> str:
+    """A sentence: what made the page, of which files."""
+    names = [*facts.get("clouds", []), *filter(None, [facts.get("footprints"), facts.get("terrain")])]
+    return f"Made by p2wss {facts.get('version', '')} of {', '.join(names)}." if names else ""
+
+
+def _place(
+    plants: Sequence[Mesh], buildings: Sequence[Shown], origin_m: np.ndarray, heights: Heights, crs: str
+) -> Place:
+    """crs: its name."""
+    crowns = [plant.translated(-origin_m) for plant in plants[:: stride(len(plants), MAX_PLANTS)]]
+    corner_m = [mesh.vertex_m[:, :2] for building in buildings for mesh in building.meshes.values()]
+    ground = (
+        _ground(np.concatenate(corner_m) + origin_m[:2], heights).translated(-origin_m) if corner_m else None
+    )
+    return Place(crowns, ground, crs, reasons.MEANINGS | reasons.FLAGS | reasons.CAUSES)
+
+
+def _heights(position_m: Sequence[np.ndarray], terrain: Terrain | None) -> Heights:
+    """The height of the ground at places (n, 2): that of the terrain, and elsewhere a mean of buildings, near ones
+    above all. position_m: (3,) each, on the ground."""
+    known = np.array([each for each in position_m if np.isfinite(each).all()]).reshape(-1, 3)
+
+    def of_buildings(plan_m: np.ndarray) -> np.ndarray:
+        away_m2 = ((plan_m[:, None] - known[:, :2]) ** 2).sum(axis=2)
+        weight = 1 / (away_m2 + 1.0) ** 2
+        return (weight @ known[:, 2]) / weight.sum(axis=1)
+
+    def of(plan_m: np.ndarray) -> np.ndarray:
+        parts = np.array_split(plan_m, len(plan_m) // _MAX_TOGETHER + 1)
+        z_m = np.concatenate([of_buildings(part) for part in parts])
+        if terrain is None:
+            return z_m
+        heights_m = terrain.interpolated(*plan_m.T)
+        return np.where(np.isfinite(heights_m), heights_m, z_m)
+
+    return of
+
+
+def _ground(plan_m: np.ndarray, heights: Heights) -> Mesh:
+    """The ground around places (n, 2), as a grid of squares."""
+    low, high = plan_m.min(axis=0) - GROUND_MARGIN_M, plan_m.max(axis=0) + GROUND_MARGIN_M
+    step_m = max(float((high - low).max()) / NUM_GROUND_CELLS, 1.0)
+    x_m, y_m = np.meshgrid(*(np.arange(a, b + step_m, step_m) for a, b in zip(low, high, strict=True)))
+    node_m = np.column_stack([x_m.ravel(), y_m.ravel()])
+    number = np.arange(len(node_m)).reshape(x_m.shape)
+    a, b, c, d = (
+        each.ravel() for each in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
+    )
+    triangle = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return _flat(np.column_stack([node_m, heights(node_m)]), triangle)
+
+
+def _flat(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
+    kind, label = np.full(len(triangle), FaceKind.GROUND, np.uint8), np.zeros(len(triangle), np.int32)
+    return Mesh(vertex_m, triangle.astype(np.int32), kind, label)
+
+
+def _outline(reconstruction: Reconstruction, heights: Heights) -> dict[str, Mesh]:
+    """The footprint of a building without a mesh, a little above the ground."""
+    if not reconstruction.rings or not np.isfinite(reconstruction.position_m).all():
+        return {}
+    polygon = shapely.Polygon(reconstruction.rings[0], reconstruction.rings[1:])
+    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    corner_m = (
+        shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3].reshape(-1, 2)
+        + reconstruction.origin_xy_m
+    )
+    vertex_m = np.column_stack([corner_m, heights(corner_m) + _ABOVE_GROUND_M])
+    return {OUTLINES.key: _flat(vertex_m, np.arange(len(vertex_m)).reshape(-1, 3))}
 
 
 def _points_of(plans: Sequence[shapely.Geometry], cloud: Cloud | None) -> list[np.ndarray]:
@@ -122,9 +223,12 @@ def _origin_m(position_m: Sequence[np.ndarray]) -> np.ndarray:
     return np.floor(np.mean(finite, axis=0)) if finite else np.zeros(3)
 
 
-def _shown(result: Result, origin_m: np.ndarray, every: int) -> Shown:
+def _shown(result: Result, origin_m: np.ndarray, every: int, heights: Heights) -> Shown:
     reconstruction = result.reconstruction
-    meshes = {_OURS: reconstruction.placed_mesh.translated(-origin_m)} if reconstruction.has_mesh else {}
+    meshes = (
+        {_OURS: reconstruction.placed_mesh} if reconstruction.has_mesh else _outline(reconstruction, heights)
+    )
+    meshes = {key: mesh.translated(-origin_m) for key, mesh in meshes.items()}
     sample_m = result.sample_m[::every].astype(float)
     return Shown(
         reconstruction.building_id,

@@ -265,7 +265,11 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         """The page of the scene: buildings in 3D and in a table, which needs no other file and no internet."""
         if self._run is None:
             return page.page_of_scenes(self.name, {self.name: self}, None)
-        return page.page_of_run(self._run.results, self.name, self._run.inputs.crs, self.plants)
+        inputs = self._run.inputs
+        terrain = inputs.terrain and inputs.terrain[0]
+        return page.page_of_run(
+            self._run.results, self.name, inputs.crs, self._run.facts, self.plants, terrain
+        )
 
     def _repr_html_(self) -> str:
         """That page in a cell of a notebook."""
@@ -426,6 +430,8 @@ def _reconstruct(
             model=inputs.weights and inputs.weights.name,
         )
         facts["clouds"] = [header.path.name for header in inputs.headers]
+        facts["footprints"] = None if inputs.footprints is None else inputs.footprints_name.name
+        facts["terrain"] = None if inputs.terrain is None else inputs.terrain[1].name
         plants: list[vegetation.Plant] = []
         if around is not None:
             plants = vegetation.plants(points, around, features.geometry)

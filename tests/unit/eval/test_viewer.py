@@ -23,7 +23,7 @@ from p2wss.config import Eval, Reconstruct
 from p2wss.eval import measure, tables
 from p2wss.eval.viewer import MAX_POINTS, choices, viewer
 from p2wss.formats import html
-from p2wss.formats.viewer import Layer, Shown, Viewer, scene_page
+from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, Viewer, scene_page
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
@@ -257,7 +257,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
         buildings.append(Shown(name, meshes, house.vertices + at, np.zeros(len(house.vertices)), facts))
     path = tmp_path_factory.mktemp("scene") / "scene.html"
     layers, crowns = [Layer("m", "Meshes", "#c8603a", True)], [mesh.translated(np.array([14.0, 0, 3]))]
-    path.write_text(scene_page("street", ["4 buildings"], buildings, layers, plants=crowns))
+    path.write_text(scene_page("street", ["4 buildings"], buildings, layers, place=Place(crowns)))
     return path
 
 
@@ -305,7 +305,7 @@ def test_a_click_on_a_building_or_its_row_shows_its_attributes(browser: Any, sce
         view.page.select_option("select.paint", kind)
         assert changed(first, view.pixels()) > 0.02
     rows.nth(0).click()
-    assert "not_representable" in panel.inner_text() and view.building == "far"
+    assert "residual\n0.600 m\nnot representable\nyes" in panel.inner_text() and view.building == "far"
     # the chosen one is in the middle of the picture now
     rows.nth(2).click()
     assert view.building == HOSTILE
@@ -323,3 +323,116 @@ def test_a_click_on_a_building_or_its_row_shows_its_attributes(browser: Any, sce
     view.page.locator(".buildings th").nth(1).click()
     assert rows.nth(0).locator("td").first.inner_text() != "gone"
     assert view.messages == []
+
+
+def street(num_houses: int, **facts: Any) -> str:
+    """The page of houses in a row, with a point above each and ground; the last has an outline alone."""
+    house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
+    mesh = Mesh.of_triangles(house.vertices, np.asarray(house.faces))
+    flat = Mesh.of_triangles(np.array([[0, 0, 0.3], [10, 0, 0.3], [10, 8, 0.3]]), np.array([[0, 1, 2]]))
+    buildings = []
+    for number in range(num_houses):
+        at = np.array([14.0 * number, 0, 0])
+        meshes = {"m": mesh} if number < num_houses - 1 else {OUTLINES.key: flat}
+        row = {
+            "area": 97.50324100028197,
+            "status": "ok",
+            "residual_m": 0.1,
+            "volume_m3": 520.123 + number,
+        } | facts
+        meshes = {key: each.translated(at) for key, each in meshes.items()}
+        buildings.append(Shown(f"house {number}", meshes, (at + np.array([5, 4, 12]))[None], np.ones(1), row))
+    ground = Mesh.of_triangles(np.array([[-9.0, -9, 0], [99, -9, 0], [0, 50, 0]]), np.array([[0, 1, 2]]))
+    layers = [Layer("m", "Meshes", "#c8603a", True), OUTLINES]
+    place = Place(ground=ground, crs="RGF93 v1 / Lambert-93", meanings={"no-points": "there is none"})
+    return scene_page("street", ["some"], buildings, layers, place=place)
+
+
+def open_street(browser: Any, folder: Path, num_houses: int = 4, scheme: str = "light", **facts: Any) -> Page:
+    path = folder / "street.html"
+    path.write_text(street(num_houses, **facts))
+    return Page(browser.new_page(viewport={"width": 1400, "height": 900}, color_scheme=scheme), path)
+
+
+def test_points_are_off_among_many_buildings_and_what_can_be_hidden_is_in_sight(
+    browser: Any, tmp_path: Path
+) -> None:
+    for num_houses, has_points in ((100, True), (101, False)):
+        view = open_street(browser, tmp_path, num_houses)
+        box = view.page.locator("#viewer input[name=points]")
+        assert box.is_checked() == has_points and box.bounding_box()["y"] < 900
+        assert view.messages == []
+
+
+def test_ground_outlines_scale_north_and_crs_are_shown(browser: Any, tmp_path: Path) -> None:
+    view = open_street(browser, tmp_path)
+    before = view.pixels()
+    for name in (OUTLINES.key, "ground"):
+        box = view.page.locator(f"#viewer input[name={name}]")
+        assert box.is_checked()
+        box.uncheck()
+        after = view.pixels()
+        assert changed(before, after) > 0.005
+        before = after
+    assert "RGF93 v1 / Lambert-93" in view.page.locator("#viewer .facts").inner_text()
+    bar = view.page.locator("#viewer .scale i")
+    wide, text = bar.bounding_box()["width"], view.page.locator("#viewer .scale").inner_text().strip()
+    assert text == "5 m" and 30 < wide <= 125
+    # turned, north points elsewhere; nearer by 15 %, the same length is longer
+    north = view.page.locator("#viewer .north")
+    first = north.get_attribute("style")
+    view.page.locator("#viewer canvas").focus()
+    for key in ("ArrowLeft", "ArrowLeft", "ArrowUp", "+"):
+        view.page.keyboard.press(key)
+    assert north.get_attribute("style") != first
+    assert bar.bounding_box()["width"] == pytest.approx(wide / 0.85, abs=2)
+    view.page.keyboard.press("Home")
+    assert north.get_attribute("style") == first and view.messages == []
+
+
+def test_a_building_is_named_found_and_told_in_words_with_units(browser: Any, tmp_path: Path) -> None:
+    view = open_street(browser, tmp_path, reason="no-points")
+    canvas, panel = view.page.locator("#viewer canvas"), view.page.locator(".attributes")
+    view.page.locator("#viewer .search").fill("house 2")
+    rows = view.page.locator(".buildings tbody tr")
+    assert [rows.nth(i).is_visible() for i in range(4)] == [False, False, True, False]
+    view.page.keyboard.press("Enter")
+    assert view.building == "house 2"
+    told = panel.inner_text()
+    assert "volume\n522.1 m³" in told and "no points: there is none" in told
+    # the input's columns come after the results
+    assert told.index("residual") < told.index("From the footprints") < told.index("area\n97.50")
+    canvas.hover()
+    tip = view.page.locator("#viewer .tip")
+    tip.wait_for(state="visible")
+    assert tip.inner_text() == "house 2"
+    canvas.press("Escape")
+    assert view.building == "" and view.messages == []
+
+
+def test_colours_are_offered_for_what_is_known(browser: Any, tmp_path: Path) -> None:
+    view = open_street(browser, tmp_path, roof_type="several-slopes", MAT_TOITS="10")
+    options = view.page.locator("select.paint option")
+    offered = [options.nth(i).inner_text() for i in range(options.count())]
+    assert offered == [
+        *("walls and roofs", "what to check", "distance to the points", "height", "type of roof", "material")
+    ]
+    first = view.pixels()
+    for name in offered[1:]:
+        view.page.select_option("select.paint", label=name)
+        assert changed(first, view.pixels()) > 0.01 and view.page.locator("#viewer .legend label").count() > 0
+    assert view.page.locator("#viewer .legend").inner_text() == "tile (4)"
+
+
+def test_a_picture_is_saved_and_the_page_is_dark_at_night(browser: Any, tmp_path: Path) -> None:
+    view = open_street(browser, tmp_path)
+    with view.page.expect_download() as download:
+        view.page.locator("#viewer .save").click()
+    download.value.save_as(tmp_path / "picture.png")
+    assert download.value.suggested_filename == "Buildings of street.png"
+    assert drawn(imread(tmp_path / "picture.png")[..., :3]) > 0.05
+    night = open_street(browser, tmp_path, scheme="dark")
+    for pixels, is_dark in ((view.pixels(), False), (night.pixels(), True)):
+        assert (pixels[8, 8].mean() < 0.5) == is_dark
+    color = night.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert max(map(int, color[4:-1].split(","))) < 80
