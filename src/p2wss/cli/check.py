@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 
 import click
 
 import p2wss
+from p2wss.cli.common import city_files
 from p2wss.cli.parser import PATH, Command
 
 
@@ -16,8 +18,8 @@ from p2wss.cli.parser import PATH, Command
     type=PATH,
     nargs=-1,
     required=True,
-    metavar="FILE ..",
-    help="CityJSON files or CityJSON text sequences",
+    metavar="FILE|FOLDER ..",
+    help="CityJSON files or CityJSON text sequences, or folders of them",
 )
 def check(files: tuple[Path, ...]) -> int:
     """Validate the solids of CityJSON files.
@@ -26,7 +28,7 @@ def check(files: tuple[Path, ...]) -> int:
     exit status is 1 if there is one.
     """
     num_invalid = 0
-    for path in files:
+    for path in chain.from_iterable(city_files(each) or [each] for each in files):
         validity = p2wss.check(path)
         for name, errors in validity.invalid.items():
             print(f"{path}: {name}: {'; '.join(errors)}")

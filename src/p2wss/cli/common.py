@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("p2wss")
 # buildings to check, and files of earlier runs, that the end of a run names
 NUM_NAMED = 5
+CITY = (".json", ".jsonl")
 # of footprints without points, beyond which the cloud may be of another place
 MAX_BARE_SHARE = 0.05
 
@@ -171,7 +172,11 @@ def write_run(
     if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
         log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
     if to_check := counts["to_check"]:
-        log.info("to check: %s", _first(to_check))
+        doubts = ", ".join(
+            f"{count} {name.replace('-', ' ')}" for name, count in Counter(counts["doubts"]).most_common()
+        )
+        rest = counts["total"] - len(to_check)
+        log.info("%d need no look, %d to check (%s): %s", rest, len(to_check), doubts, _first(to_check))
     pages = [path for path in written if path.suffix == ".html"]
     if pages:
         log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
@@ -189,6 +194,11 @@ def write_run(
         "error: a file is missing, or more buildings failed than reconstruct.max_failed_fraction %g", most
     )
     return 1
+
+
+def city_files(folder: Path) -> list[Path]:
+    """The CityJSON files in a folder; none of what is no folder."""
+    return [each for each in sorted(folder.glob("*.city.json*")) if each.suffix in CITY]
 
 
 def _first(names: list[str]) -> str:

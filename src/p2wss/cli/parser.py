@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import click
 
 from p2wss.config import Config, Section, load
+from p2wss.storage.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Decorator = Callable[[Function], Function]
@@ -102,6 +102,9 @@ class Names(click.ParamType):
 
     name = "A,B,.."
 
+    def __init__(self, choices: Collection[str] = ()) -> None:
+        self.choices = choices
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
         """The names, without spaces around them."""
         return (
@@ -147,7 +150,7 @@ def setting(key: str, *names: str, more: bool = True, **options: Any) -> Decorat
     elif get_origin(kind) is Literal:
         options["type"] = click.Choice(get_args(kind))
     elif get_origin(kind) is list:
-        options["type"], default = Names(), ",".join(default)
+        options["type"], default = Names(get_args(get_args(kind)[0])), ",".join(default)
     elif isinstance(kind, type) and issubclass(kind, Section):
         options["type"], default = Pairs(), "..."
     else:
@@ -164,12 +167,22 @@ def _document(key: str, value: Any) -> dict[str, Any]:
 
 
 def _repeated(options: Iterable[Option], words: Iterable[str]) -> list[str]:
-    """The words with ``--shards A --shards B`` for ``--shards A B``, as click takes one value per option."""
-    lists = set(itertools.chain.from_iterable(option.opts for option in options if option.takes_list))
-    result, current = [], ""
+    """The words with ``--shards A --shards B`` for ``--shards A B``, as click takes one value per option, and with
+    several words for the one word ``"A B"`` of an option that takes several numbers."""
+    named = {name: option for option in options for name in option.opts}
+    result: list[str] = []
+    current = ""
     for word in words:
+        last = named.get(result[-1]) if result else None
+        if last is not None and last.nargs > 1:
+            result += word.replace(",", " ").split()
+            continue
+        before = named.get(result[-2]) if len(result) > 1 else None
+        if before is not None and isinstance(before.type, Names) and word in before.type.choices:
+            name, value = result[-2:]
+            raise InputError(f"{name} {value} {word}: state a list as one word: {name} {value},{word}")
         if word.startswith("-"):
-            current = word if word in lists else ""
+            current = word if word in named and named[word].takes_list else ""
         if not current:
             result.append(word)
         elif word != current:

@@ -12,6 +12,7 @@ from p2wss.cli import argument_checks
 from p2wss.cli.common import clean_option, config_option, log_options, threads_option, write_run
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import ALL, IGN, Config, load
+from p2wss.storage.errors import InputError
 
 OUTPUTS = ["cityjson", "sionna", "glb", "report"]
 
@@ -30,7 +31,9 @@ OUTPUTS = ["cityjson", "sionna", "glb", "report"]
 )
 @option(
     "--around",
-    metavar='"LATITUDE LONGITUDE"',
+    type=float,
+    nargs=2,
+    metavar="LATITUDE LONGITUDE",
     help="or the middle of the place, in degrees, or as X Y in metres of region.crs",
 )
 @option(
@@ -63,7 +66,7 @@ OUTPUTS = ["cityjson", "sionna", "glb", "report"]
 def scene(
     out: Path,
     bbox: tuple[float, float, float, float] | None,
-    around: str | None,
+    around: tuple[float, float] | None,
     radius_m: float,
     dry_run: bool,
     threads: int,
@@ -84,7 +87,12 @@ def scene(
     from p2wss.fetch.area import bounds_around, bounds_of_bbox, fetch_area
 
     crs = config.region.crs
-    bounds = bounds_around(around or "", radius_m, crs) if bbox is None else bounds_of_bbox(bbox, crs)
+    try:
+        bounds = bounds_of_bbox(bbox, crs) if bbox else bounds_around(around or (0, 0), radius_m, crs)
+    except InputError as error:
+        if config.fetch.source == "folder":
+            raise
+        raise InputError(f"{error}; IGN's services are of France: elsewhere use p2wss reconstruct") from error
     place = {
         "name": "scene",
         "vintage": f"{datetime.now(UTC).year}",

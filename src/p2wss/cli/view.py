@@ -7,13 +7,11 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import config_option, crs_option, log
+from p2wss.cli.common import CITY, city_files, config_option, crs_option, log
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
-
-CITY = (".json", ".jsonl")
 
 
 @click.command(cls=Command)
@@ -34,8 +32,7 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
     """Show buildings in 3D with points and attributes: one HTML page that needs no internet."""
     cities, clouds = [], []
     for path in paths:
-        inside = [each for each in sorted(path.glob("*.city.json*")) if each.suffix in CITY]
-        if inside or path.suffix in CITY:
+        if (inside := city_files(path)) or path.suffix in CITY:
             cities += inside or [path]
         else:
             clouds.append(path)

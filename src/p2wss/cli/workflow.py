@@ -13,7 +13,7 @@ from p2wss.cli.common import log
 from p2wss.cli.parser import PATH, Command, Group
 from p2wss.storage.errors import InputError
 
-PARTS = ("Snakefile", "workflow", "config", "profiles", "envs", "tests/mini/roofer")
+PARTS = ("Snakefile", "workflow", "config", "profiles", "envs", "tests/mini")
 
 
 @click.group(cls=Group)
@@ -24,17 +24,14 @@ def workflow() -> None:
 @workflow.command("init", cls=Command)
 @click.argument("folder", type=PATH, metavar="FOLDER", help="folder of the project")
 def workflow_init(folder: Path) -> None:
-    """Write rules, configs, profiles and the miniature into a folder, where snakemake then runs."""
-    if taken := [name for name in PARTS if (folder / name).exists()]:
+    """Write rules, configs, profiles, the miniature and weights into a folder, where snakemake then runs."""
+    sources = {name: _origin() / name for name in PARTS} | {"models": Path(p2wss.__file__).parent / "weights"}
+    if taken := [name for name in sources if (folder / name).exists()]:
         raise InputError(f"{folder / taken[0]}: exists; name a folder without a project")
-    from p2wss.towns import MINIATURE_SEED, write_town
-
     try:
-        write_town(folder / "tests/mini", MINIATURE_SEED, with_lidar=True)
-        for name in PARTS:
-            source = _origin() / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, source in sources.items():
             copy = shutil.copytree if source.is_dir() else shutil.copy
-            folder.mkdir(parents=True, exist_ok=True)
             copy(source, folder / name)
     except OSError as error:
         raise InputError(f"{folder}: not written: {error.strerror or error}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -78,14 +79,17 @@ def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
 
 
 def _suggestion(error: Any) -> str:
-    if error["type"] != "extra_forbidden":
-        return ""
     from difflib import get_close_matches
 
-    model: Any = Config
-    for part in error["loc"][:-1]:
-        if isinstance(part, str) and part in getattr(model, "model_fields", {}):
-            model = model.model_fields[part].annotation
-    key, names = str(error["loc"][-1]), getattr(model, "model_fields", {})
+    key, names = "", []
+    if error["type"] == "literal_error":
+        key, names = str(error["input"]), re.findall("'([^']+)'", error["ctx"]["expected"])
+    elif error["type"] == "extra_forbidden":
+        key = str(error["loc"][-1])
+        model: Any = Config
+        for part in error["loc"][:-1]:
+            if isinstance(part, str) and part in getattr(model, "model_fields", {}):
+                model = model.model_fields[part].annotation
+        names = list(getattr(model, "model_fields", {}))
     matches = [name for name in names if name.startswith(key)] or get_close_matches(key, names, n=1)
     return f" (did you mean {matches[0]}?)" if matches else ""

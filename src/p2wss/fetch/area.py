@@ -84,13 +84,10 @@ def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:
     return bounds_in_region(bbox, crs if in_metres else "EPSG:4326", crs)
 
 
-def bounds_around(place: str, radius_m: float, crs: str) -> Bounds:
-    """A square of twice ``radius_m`` in a projected CRS around a place: "latitude longitude" in degrees, in the order
-    of maps, or "x y" in metres of the CRS. Raises :class:`InputError` for anything else."""
-    try:
-        x, y = map(float, place.replace(",", " ").split())
-    except ValueError as error:
-        raise InputError(f'"{place}": state two numbers: latitude longitude, or x y in {crs}') from error
+def bounds_around(place: tuple[float, float], radius_m: float, crs: str) -> Bounds:
+    """A square of twice ``radius_m`` in a projected CRS around a place: latitude and longitude in degrees, in the order
+    of maps, or x and y in metres of the CRS. Raises :class:`InputError` where the CRS is not used."""
+    x, y = place
     if abs(x) <= 90 and abs(y) <= 180:
         west, south, east, north = bounds_of_bbox((y - 1e-9, x - 1e-9, y + 1e-9, x + 1e-9), crs)
         x, y = (west + east) / 2, (south + north) / 2

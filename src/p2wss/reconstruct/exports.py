@@ -129,6 +129,7 @@ def write(
             "sha256": {path.relative_to(folder).as_posix(): files.sha256(path) for path in delivered},
             "buildings": counts(results),
             "skin": block_skins.counts(skins) if config.skin else None,
+            "closed": "all meshes together" if _is_cut(config, ground is not None) else "each mesh",
             "wedges": columns and len(columns["skin"]),
             "vegetation": dict(Counter(plant.city_type for plant in plants)) if config.vegetation else None,
             "errors": [] if errors is None else sorted(errors.traces),
@@ -228,6 +229,11 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
     return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 
+def _is_cut(config: Reconstruct, has_terrain: bool) -> bool:
+    """Whether skins end on the terrain, so that only all of them are closed."""
+    return config.skin and has_terrain and config.skin_terrain == "cut"
+
+
 def check_coverage(terrain: Terrain, name: Path, features: Features) -> None:
     """Raise :class:`InputError` if the terrain has no height at any of the footprints."""
     heights_m = terrain.interpolated(features["centre_x_m"], features["centre_y_m"])
@@ -253,8 +259,12 @@ def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
 
 def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[str]:
     """Notes on the outputs for the user, before the work. features: cleaned footprints with the input's columns."""
+    result = []
+    if _is_cut(config, has_terrain) and any(name in MESH_WRITERS for name in config.outputs):
+        text = "skins and terrain are closed together, and no single mesh is (reconstruct.skin_terrain: overlap is)"
+        result.append(text)
     if "sionna" not in config.outputs:
-        return []
+        return result
     rows = [surface_materials(columns, config) for columns in input_columns(features)]
     materials = [row["wall"] for row in rows]
     if config.split_materials:
@@ -264,19 +274,25 @@ def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[st
     if config.vegetation:
         materials.append(config.materials.vegetation)
     is_mixed = any(row["wall"] != row["roof"] for row in rows)
-    return sionna.notes(materials, config.frequency_ghz, has_terrain, is_mixed, config.split_materials)
+    return result + sionna.notes(
+        materials, config.frequency_ghz, has_terrain, is_mixed, config.split_materials
+    )
 
 
 def counts(results: Sequence[Result]) -> dict[str, Any]:
     """Numbers of buildings by status, reason and method, and the ids of those to be looked at, the worst first: without
     a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict."""
-    status, reasons, methods = Counter[str](), Counter[str](), Counter[str]()
+    status, reasons, methods, doubts = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     not_representable = without_points = triangles = 0
     to_check: list[tuple[float, str]] = []
     for result in results:
-        is_contradicted = result.registration is not None and result.registration.flags
-        is_excluded = result.status != "ok" and result.reason not in (HAS_PARTS, DUPLICATE)
-        if is_excluded or result.not_representable or is_contradicted:
+        why = [] if result.registration is None else [*result.registration.flags]
+        if result.status != "ok" and result.reason not in (HAS_PARTS, DUPLICATE):
+            why.append(str(result.reason))
+        if result.not_representable:
+            why.append("not-representable")
+        if why:
+            doubts.update(why)
             to_check.append((-np.nan_to_num(result.residual_m), result.reconstruction.building_id))
         status[result.status] += 1
         reasons.update(filter(None, [result.reason]))
@@ -292,6 +308,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         "not_representable": not_representable,
         "without_points": without_points,
         "triangles": triangles,
+        "doubts": dict(doubts.most_common()),
         "to_check": [building_id for _, building_id in sorted(to_check)],
     }
 

@@ -13,14 +13,16 @@ from typing import Any
 from p2wss.storage.log_lines import is_json, log
 
 INTERVAL_S = 2.0
+# lines of a log become rarer: the next is this share of the time so far later, or more
+LATER = 0.1
 
 
 class Progress:
     """How many of ``total`` items are done, for use in a ``with`` block.
 
-    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every two seconds and none for
-    the last item, because a summary follows. Nothing is shown where the log's level hides information, and no bar
-    where it shows details.
+    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every two seconds, later ever more
+    rarely, and none for the last item, because a summary follows. Nothing is shown where the log's level hides
+    information, and no bar where it shows details.
     ``initial`` items were done before, for example by the run that this one resumes.
     """
 
@@ -35,7 +37,7 @@ class Progress:
     ) -> None:
         self.title, self.total, self.unit, self.initial = title, total, unit, initial
         self._report, self._clock = report, clock
-        self._reported_at = clock()
+        self._began_at = self._reported_at = clock()
         # when the first items were done, and how many: what is before, such as compilation, says nothing of the others
         self._first: tuple[int, float] | None = None
         self._contexts = ExitStack()
@@ -71,7 +73,10 @@ class Progress:
             return
         now = self._clock()
         first, at = self._first = self._first or (num_done, now)
-        if now - self._reported_at < INTERVAL_S or num_done >= self.total:
+        if (
+            now - self._reported_at < max(INTERVAL_S, LATER * (self._reported_at - self._began_at))
+            or num_done >= self.total
+        ):
             return
         self._reported_at = now
         left = ""

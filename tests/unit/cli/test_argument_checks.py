@@ -98,6 +98,13 @@ WRONG = [
         ["--terrain", "dtm.tif", "--format", "cityjson,gpkg"],
         "cityjson, gpkg cannot hold a terrain; add a mesh format",
     ),
+    ("cloud.laz", "footprints.gpkg", ["--outputs", "gbl"], "(did you mean glb?)"),
+    (
+        "cloud.laz",
+        "footprints.gpkg",
+        ["--outputs", "glb", "obj"],
+        "state a list as one word: --outputs glb,obj",
+    ),
 ]
 
 

@@ -31,6 +31,15 @@ def city(tmp_path: Path) -> Path:
     return path
 
 
+def test_the_files_of_a_folder_are_checked(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    broken(city)
+    assert cli.main(["check", str(city.parent)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == f"{city}: 2 solids, 0 invalid" and lines[1].endswith(
+        "broken.city.json: 2 solids, 1 invalid"
+    )
+
+
 def broken(path: Path) -> Path:
     """The file with the roof of building b turned round."""
     document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

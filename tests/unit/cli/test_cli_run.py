@@ -123,7 +123,9 @@ def test_footprints_beyond_the_cloud_are_counted(
     assert "warning: the cloud has no point at 2 of 4 footprints" in caplog.text
     counts = json.loads((tmp_path / "out/lidar.json").read_text(encoding="utf-8"))["buildings"]
     assert counts["without_points"] == 2 and {*footprints["cleabs"][2:]} <= {*counts["to_check"]}
-    assert f"to check: {', '.join(counts['to_check'])}" in caplog.text
+    assert counts["doubts"] == {"height-from-attribute": 2, "extended": 1}
+    text = "1 need no look, 3 to check (2 height from attribute, 1 extended): "
+    assert text + ", ".join(counts["to_check"]) in caplog.text
 
 
 def test_quiet_says_nothing_of_a_run_without_faults(

@@ -61,7 +61,7 @@ def test_after_an_interruption_only_the_rest_is_fetched(
 ) -> None:
     tries: list[int] = []
     config = serve_miniature(httpserver, lambda: bool(tries))
-    words = ["--around", "{} {}".format(*MIDDLE), "--radius", "20", tmp_path, "--format", "obj", "--quiet"]
+    words = ["--around", *map(str, MIDDLE), "--radius", "20", tmp_path, "--format", "obj", "--quiet"]
     assert scene(config, *words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("p2wss: error: ") and ": HTTP 403 " in line
@@ -96,8 +96,9 @@ def test_without_network_one_line_names_the_files_to_give(
     [
         ([], "name a place: --bbox or --around"),
         (["--around", "48.85 2.35", "--bbox", "0", "0", "1", "1"], "name a place: --bbox or --around"),
-        (["--around", "Paris"], '"Paris": state two numbers: latitude longitude'),
+        (["--around", "Paris", "out"], "'Paris' is not a valid float"),
         (["--around", "2.35 48.85"], "degrees (longitude, latitude) outside France"),
+        (["--around", "52.0", "4.36"], "IGN's services are of France: elsewhere use p2wss reconstruct"),
         (["--bbox", "48.85", "2.35", "48.86", "2.36"], "degrees (longitude, latitude) outside France"),
         (["--bbox", "653000", "6861000", "652000", "6862000"], "is empty"),
         (["--bbox", "0", "0", "1000", "1000"], "metres outside France"),
@@ -115,11 +116,11 @@ def test_a_place_that_cannot_be_meant_is_refused(
 def test_degrees_and_metres_are_told_apart() -> None:
     to_degrees = pyproj.Transformer.from_crs(FRANCE, 4326, always_xy=True)
     longitude, latitude = to_degrees.transform(*MIDDLE)
-    in_metres = bounds_around("{}, {}".format(*MIDDLE), 100, FRANCE)
+    in_metres = bounds_around(MIDDLE, 100, FRANCE)
     assert in_metres == (653050, 6860660, 653250, 6860860)
-    assert bounds_around(f"{latitude:.9f} {longitude:.9f}", 100, FRANCE) == pytest.approx(in_metres, abs=0.01)
+    assert bounds_around((latitude, longitude), 100, FRANCE) == pytest.approx(in_metres, abs=0.01)
     corners = *to_degrees.transform(*in_metres[:2]), *to_degrees.transform(*in_metres[2:])
     # the box in degrees is turned against the grid by the convergence of meridians
     assert bounds_of_bbox(corners, FRANCE) == pytest.approx(in_metres, abs=3)
     with pytest.raises(InputError, match="outside"):
-        bounds_around(f"{longitude} {latitude}", 100, FRANCE)
+        bounds_around((longitude, latitude), 100, FRANCE)

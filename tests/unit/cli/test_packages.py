@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import subprocess
 import sys
 import tomllib
@@ -55,10 +56,7 @@ def test_the_settings_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == json_schema() == (ROOT / "config/schema.json").read_text()
 
 
-def test_a_project_of_the_workflow_is_begun_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("p2wss.towns.write_town", lambda folder, seed, with_lidar: folder.mkdir(parents=True))
+def test_a_project_of_the_workflow_is_begun_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project = tmp_path / "project"
     assert cli.main(["workflow", "init", str(project)]) == 0
     for name in (
@@ -68,6 +66,21 @@ def test_a_project_of_the_workflow_is_begun_once(
         "profiles/slurm/config.yaml",
     ):
         assert (project / name).read_bytes() == (ROOT / name).read_bytes()
+    # what the page of the pipeline names is there
+    page = (ROOT / "docs/manual/pipeline.md").read_text(encoding="utf-8")
+    commands = re.findall("`([^`]*(?:snakemake|p2wss) [^`]*)`", page)
+    named = {
+        path
+        for each in commands
+        for path in re.findall(r"\b(?:config|models|profiles|tests)/[\w./-]*\w", each)
+    }
+    assert {"models/point2wss.safetensors", "tests/mini/dataset.yaml", "config/paper.yaml"} <= named
+    assert [path for path in named if not (project / path).exists()] == []
+    # and a wheel has the miniature
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    packed = {path for patterns in data.values() for pattern in patterns for path in ROOT.glob(pattern)}
+    miniature = {ROOT / path.relative_to(project) for path in (project / "tests").rglob("*.*")}
+    assert len(miniature) > 8 and sorted(path for path in miniature - packed if path.is_file()) == []
     assert cli.main(["workflow", "init", str(project)]) == 2
     assert "Snakefile: exists" in capsys.readouterr().err
 

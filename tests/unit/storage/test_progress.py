@@ -38,6 +38,15 @@ def test_what_was_before_the_first_items_does_not_count_for_the_time_left() -> N
     ]
 
 
+def test_a_log_of_a_night_has_some_hundred_lines() -> None:
+    now, lines = [0.0], []
+    with Progress("training", 57_600, "steps", report=lines.append, clock=lambda: now[0]) as progress:
+        for num_done in range(57_600):
+            now[0] += 0.5
+            progress.update(num_done)
+    assert 50 < len(lines) < 150
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
