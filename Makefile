@@ -67,10 +67,11 @@ test-wheel: install
 test-slurm: engines
 	pytest -m slow --timeout 3600 -s tests/workflow/test_slurm.py
 
-# the site in site/; mkdocs is not part of the locked packages, since nothing else needs it
-docs: install
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'mkdocs-material>=9.6'
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+# the site in site/, which needs neither the extras nor compiled code
+docs:
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable . 'mkdocs-material>=9.6'
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet
 
 lint: $(INSTALLED)
 	ruff check .

@@ -29,7 +29,9 @@ def on_files(files: Any, config: Any) -> Any:
     pages = {
         "reference/python.md": f"# Python\n\n[Examples](../manual/python.md).\n\n{_python()}",
         "reference/commands.md": f"# Commands\n\n{_commands()}",
-        "reference/settings.md": f"# Settings\n\n`p2wss config` prints the same.\n\n```yaml\n{default_yaml()}```\n",
+        # last among what a search finds: it names everything
+        "reference/settings.md": "---\nsearch:\n  boost: 0.1\n---\n# Settings\n\n`p2wss config` prints the same.\n\n"
+        f"```yaml\n{default_yaml()}```\n",
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -96,13 +98,29 @@ def _python() -> str:
     for name, each in named.items():
         if "." in name and isinstance(each, str | int | float | tuple):
             continue
-        signature = str(inspect.signature(each)) if inspect.isfunction(each) else ""
+        signature = _signature(each) if inspect.isfunction(each) else ""
         text = _ROLE.sub(r"`\1`", inspect.getdoc(each) or "")
         paragraphs = [f"```python\n{p}\n```" if p.startswith(">>>") else p for p in text.split("\n\n")]
         level = "###" if name.split(".")[0] != "p2wss" and "." in name else "##"
         head = f"{level} {name}\n\n" + (f"```python\n{name}{signature}\n```\n\n" if signature else "")
         parts.append(head + "\n\n".join(paragraphs) + "\n")
     return "\n".join(parts)
+
+
+def _signature(function: Any) -> str:
+    """The parameters of a function, one per line if they are many."""
+    signature = inspect.signature(function)
+    words = []
+    for each in signature.parameters.values():
+        if each.kind is each.KEYWORD_ONLY and "*" not in words:
+            words.append("*")
+        default = "" if each.default is each.empty else f" = {each.default!r}"
+        words.append(
+            each.name + (f": {each.annotation}" if each.annotation is not each.empty else "") + default
+        )
+    end = "" if signature.return_annotation is signature.empty else f" -> {signature.return_annotation}"
+    line = f"({', '.join(words)}){end}"
+    return line if len(line) < 70 else "(\n    " + ",\n    ".join(words) + f",\n){end}"
 
 
 def _commands() -> str:
