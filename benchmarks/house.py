@@ -90,7 +90,7 @@ def arrows() -> dict[str, set[str]]:
         "benchmarks": set(),
         "workflow": set(),
     }
-    del rooms["__init__"]
+    del rooms["__init__"], rooms["__main__"]
     files = [(room_of(path), path) for path in PACKAGE.rglob("*.py")]
     files += [("benchmarks", path) for path in (ROOT / "benchmarks").glob("*.py")]
     files += [("workflow", path) for path in (ROOT / "Snakefile", *(ROOT / "workflow").rglob("*.smk"))]

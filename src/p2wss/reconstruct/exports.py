@@ -225,7 +225,7 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
     try:
         result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
     except ValueError as error:
-        raise InputError(f"the terrain of --terrain has no height around the buildings: {error}") from error
+        raise InputError(f"the terrain has no height around the buildings: {error}") from error
     return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 

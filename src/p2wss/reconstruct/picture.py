@@ -15,37 +15,23 @@ from p2wss.storage.errors import InputError
 if TYPE_CHECKING:
     from p2wss.reconstruct.scene import SceneBuilding
 
-_SINE, _COSINE, _SIN_TILT, _COS_TILT = (
-    0.5736,
-    0.8192,
-    0.6428,
-    0.7660,
-)  # from 35 degrees beside south, 40 above
-# by the name of a view: unit vectors to the right, upwards in the picture, and towards the eye
-VIEWS = {
-    "plan": np.eye(3),
-    "oblique": np.array(
-        [
-            [_COSINE, -_SINE, 0],
-            [_SINE * _SIN_TILT, _COSINE * _SIN_TILT, _COS_TILT],
-            [-_SINE * _COS_TILT, -_COSINE * _COS_TILT, _SIN_TILT],
-        ]
-    ),
-}
-_SUN = np.array([-0.35, -0.6, 0.72])
 _COLORS = {SURFACE_TYPE[kind]: FACE_COLORS[kind] for kind in reversed(SURFACE_TYPE)}
 
 
 def plot(buildings: Iterable[SceneBuilding], view: str, axes: Any = None) -> Any:
     """See :meth:`p2wss.reconstruct.scene.Scene.plot`. What is nearer to the eye is drawn over what is farther."""
-    if view not in VIEWS:
-        raise InputError(f"view: choose from {', '.join(VIEWS)}, not {view!r}")
+    if view not in ("plan", "oblique"):
+        raise InputError(f"view: choose from plan, oblique, not {view!r}")
     from matplotlib import pyplot
     from matplotlib.collections import PathCollection
     from matplotlib.colors import to_rgb
     from matplotlib.path import Path
 
-    turn = VIEWS[view]
+    # unit vectors to the right, upwards in the picture, and towards the eye: of an oblique view beside south
+    aside, above = np.radians((0, 90) if view == "plan" else (35, 40))
+    right = np.array([np.cos(aside), -np.sin(aside), 0])
+    eye = np.array([-np.sin(aside) * np.cos(above), -np.cos(aside) * np.cos(above), np.sin(above)])
+    turn, sun = np.array([right, np.cross(eye, right), eye]), np.array([-0.35, -0.6, 0.72])
     drawn: list[tuple[float, float, Any, Any]] = []
     for building in buildings:
         if building.solid is None and building.footprint is not None:
@@ -56,7 +42,7 @@ def plot(buildings: Iterable[SceneBuilding], view: str, axes: Any = None) -> Any
             if surface.normal @ turn[2] < 1e-6:
                 continue
             assert building.solid is not None
-            light = 0.6 + 0.4 * max(float(surface.normal @ _SUN), 0.0)
+            light = 0.6 + 0.4 * max(float(surface.normal @ sun), 0.0)
             color = (*(light * np.array(to_rgb(_COLORS[surface.kind]))), 1)
             depth, nearer = (
                 turn[2] @ each.mean(axis=0) for each in (building.solid.vertex_m, surface.rings_m[0])

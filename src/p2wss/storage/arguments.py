@@ -6,6 +6,7 @@ A parameter is checked by its name, since one name means the same in every funct
 from __future__ import annotations
 
 import inspect
+import logging
 import math
 import os
 import re
@@ -66,8 +67,8 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """The function, :func:`checked`, with errors in words of Python: parameters and settings for options of commands,
-    and the extra to install for a package that is missing."""
+    """The function, :func:`checked`, with errors and log lines in words of Python: parameters and settings for
+    options of commands, and the extra to install for a package that is missing."""
     parameters = inspect.signature(function).parameters
     inner = checked(function)
 
@@ -75,8 +76,14 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
         name = match[1].replace("-", "_")
         return f"{name}=" if name in parameters else f"reconstruct.{name}"
 
+    def reword(record: logging.LogRecord) -> bool:
+        record.msg, record.args = _OPTION.sub(word, record.getMessage()), ()
+        return True
+
     @wraps(function)
     def in_words(*args: P.args, **kwargs: P.kwargs) -> T:
+        log = logging.getLogger("p2wss")
+        log.addFilter(reword)
         try:
             return inner(*args, **kwargs)
         except ModuleNotFoundError as error:
@@ -86,6 +93,8 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
             if text == str(error):
                 raise
             raise InputError(text) from error
+        finally:
+            log.removeFilter(reword)
 
     return in_words
 

@@ -55,7 +55,7 @@ def test_reported_clouds(cloud: str, footprints: str) -> None:
 def test_a_reported_cloud_that_states_another_crs() -> None:
     folder = CASES / "cloud_states_wrong_crs"
     files = folder / "utm_but_says_4326.laz", folder / "f26910.gpkg"
-    with pytest.raises(InputError, match="in degrees, but its bounds are not; state its CRS with --crs"):
+    with pytest.raises(InputError, match="in degrees, but its bounds are not; state its CRS with crs="):
         built(*files)
     assert_right(built(*files, crs=UTM))
 
@@ -174,9 +174,9 @@ def test_terrain_in_another_unit_is_named(tmp_path: Path, factor: float) -> None
     text = str(error.value)
     assert "\n" not in text
     if factor == FOOT:
-        assert "as if they were in ft; state --terrain-unit ft" in text
+        assert "as if they were in ft; state reconstruct.terrain_unit ft" in text
     # the remedies work
-    for unit in re.findall(r"--terrain-unit (\S+)", text):
+    for unit in re.findall(r"reconstruct\.terrain_unit (\S+)", text):
         config = {"reconstruct": {"terrain_unit": unit.strip(","), "registration": "never"}}
         assert_right(built(cloud, houses.footprints(), terrain=terrain, config=config))
 
@@ -191,7 +191,7 @@ def test_terrain_of_another_height_system_is_named(tmp_path: Path) -> None:
 def test_unstated_feet_are_named_where_footprints_state_heights(tmp_path: Path) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=FOOT)
     known = houses.footprints(UTM, height=[8.36, 6.0])
-    with pytest.raises(InputError, match="as if heights were in ft; state --height-unit ft"):
+    with pytest.raises(InputError, match=r"as if heights were in ft; state reconstruct\.height_unit ft"):
         built(cloud, known)
     for unit, is_right in (("ft", True), ("m", False)):
         config = {"reconstruct": {"height_unit": unit, "registration": "never"}}
@@ -204,7 +204,7 @@ def test_unstated_feet_are_doubted_where_houses_are_slender(
 ) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=FOOT)
     built(cloud, houses.footprints(UTM))
-    assert "times as high as wide, as if heights were in ft; state --height-unit ft" in caplog.text
+    assert "times as high as wide, as if heights were in ft; state reconstruct.height_unit ft" in caplog.text
     caplog.clear()
     built(houses.write_cloud(tmp_path / "d.laz", UTM), houses.footprints(UTM))
     assert not [record for record in caplog.records if record.levelname == "WARNING"]
@@ -215,7 +215,7 @@ def test_stated_feet_are_doubted_where_houses_are_low(
 ) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", UTM, stated=houses.header(keys={3072: 26910, 4099: 9002}))
     built(cloud, houses.footprints(UTM))
-    assert "houses are 2.0 m high, as if heights were in m; state --height-unit m" in caplog.text
+    assert "houses are 2.0 m high, as if heights were in m; state reconstruct.height_unit m" in caplog.text
 
 
 def test_a_terrain_of_stated_unit_that_is_far_from_the_points_is_doubted(

@@ -101,8 +101,9 @@ def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> N
     for page in ("town.html", "view.html"):
         text = (tmp_path / page).read_text(encoding="utf-8").split('id="viewer-data">')[1]
         data = json.loads(text.split("</script>")[0])
-        assert data["plants"]["facts"] == f"{2 * 32} triangles" and len(data["buildings"]) == 1
-        vertex_m = np.frombuffer(base64.b64decode(data["plants"]["vertices"]), "<i4").reshape(-1, 3) / 1000
+        (crowns,) = [each for each in data["around"] if each["key"] == "plants"]
+        assert crowns["facts"] == f"{2 * 32} triangles" and len(data["buildings"]) == 1
+        vertex_m = np.frombuffer(base64.b64decode(crowns["vertices"]), "<i4").reshape(-1, 3) / 1000
         middle_m = (vertex_m.min(axis=0) + vertex_m.max(axis=0)) / 2 - np.mean(
             data["buildings"][0]["bounds"], axis=0
         )
