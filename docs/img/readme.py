@@ -14,13 +14,14 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 SIZE = (600, 440)
-# enlarges the canvas of the page to the whole window, and hides the points or the meshes
+# enlarges the canvas of the page to the whole window, and hides the ground, and the points or the meshes
 SETUP = """(hidden) => {
-  document.querySelector(`#viewer input[name=${hidden}]`).click();
+  for (const name of [hidden, "ground"]) document.querySelector(`#viewer input[name=${name}]`).click();
   const canvas = document.querySelector("#viewer canvas");
   document.body.replaceChildren(canvas);
   document.body.style.cssText = "margin:0; padding:0; max-width:none";
-  canvas.style.cssText = "width:100vw; height:100vh; margin:0";
+  canvas.style.cssText = "width:100vw; height:100vh; margin:0; outline:0";
+  canvas.focus();
 }"""
 
 
@@ -35,10 +36,8 @@ def main(page_of_run: Path, out: Path) -> None:
             page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
             page.goto(page_of_run.resolve().as_uri())
             page.evaluate(SETUP, hidden)
-            page.wait_for_timeout(1000)
-            # nearer, since towns do not fill the picture from corner to corner
-            page.mouse.move(SIZE[0] / 2, SIZE[1] / 2)
-            page.mouse.wheel(0, -240)
+            page.wait_for_timeout(500)
+            page.keyboard.press("Home")  # the whole of the town in the new size of the picture
             page.wait_for_timeout(1000)
             pictures.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
         browser.close()

@@ -10,8 +10,8 @@
   const layers = root.querySelector(".layers");
   const facts = root.querySelector(".facts");
   const together = data.together;
-  // from 0 to REACH metres: what fits is pale
-  const RAMP = ["#a9cbe8", "#f2e279", "#f39c34", "#d7301f", "#7a0403"];
+  // from 0 to REACH metres
+  const RAMP = ["#4f9bd9", "#f2e279", "#f39c34", "#d7301f", "#7a0403"];
   const REACH = 1;
   // with more buildings, points would hide them
   const MAX_WITH_POINTS = 100;
