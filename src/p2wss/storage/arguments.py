@@ -10,7 +10,7 @@ import logging
 import math
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import wraps
 from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
@@ -99,36 +99,19 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
     return in_words
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError
-    return value
+def _one_of(*kinds: type, having: str = "") -> Callable[[Any], Any]:
+    """A check for values of these types, or with this attribute: of a type that is slow to import."""
 
+    def check(value: Any) -> Any:
+        if not isinstance(value, kinds) and not (having and hasattr(value, having)):
+            raise TypeError
+        return value
 
-def _path(value: Any) -> Any:
-    if not isinstance(value, str | os.PathLike) or "\0" in os.fsdecode(value):
-        raise TypeError
-    return value
-
-
-def _crs(value: Any) -> Any:
-    if not isinstance(value, str | Integral) and not hasattr(value, "to_epsg"):  # pyproj.CRS
-        raise TypeError
-    return value
-
-
-def _config(value: Any) -> Any:
-    if not isinstance(value, str | os.PathLike | dict) and not hasattr(value, "reconstruct"):  # Config
-        raise TypeError
-    return value
+    return check
 
 
 def _names(value: Any) -> list[str]:
-    if isinstance(value, str):
-        return [value]
-    if not isinstance(value, Iterable):
-        raise TypeError
-    return list(map(str, value))
+    return [value] if isinstance(value, str) else list(map(str, value))
 
 
 def _number(value: Any) -> float:
@@ -153,30 +136,24 @@ def _box(value: Any) -> tuple[float, ...]:
     return box
 
 
-def _progress(value: Any) -> Any:
-    if not isinstance(value, bool) and not callable(value):
-        raise TypeError
-    return value
-
-
-_A_PATH = (_path, "a path")
+_A_PATH = (_one_of(str, os.PathLike), "a path")
 # by the name of a parameter: what returns the value in one form, or raises TypeError or ValueError; what is expected
 _CHECKS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "path": _A_PATH,
     "folder": _A_PATH,
     "terrain": _A_PATH,
     "model": _A_PATH,
-    "crs": (_crs, "a CRS, such as EPSG:28992"),
-    "config": (_config, "a file or sections of the config"),
+    "crs": (_one_of(str, Integral, having="to_epsg"), "a CRS, such as EPSG:28992"),
+    "config": (_one_of(str, os.PathLike, dict, having="reconstruct"), "a file or sections of the config"),
     "ids": (_names, "ids of buildings"),
     "formats": (_names, "names of formats"),
-    "name": (_text, "text"),
-    "id_field": (_text, "the name of a column"),
-    "detail": (_text, '"low", "normal" or "high"'),
-    "height_unit": (_text, "text"),
+    "name": (_one_of(str), "text"),
+    "id_field": (_one_of(str), "the name of a column"),
+    "detail": (_one_of(str), '"low", "normal" or "high"'),
+    "height_unit": (_one_of(str), "text"),
     "bbox": (_box, "four numbers: x_min, y_min, x_max, y_max"),
     "eave_height_m": (_number, "metres"),
     "threads": (_at_least(1), "a whole number, at least 1"),
     "seed": (_at_least(0), "a whole number, at least 0"),
-    "progress": (_progress, "True, False or a function of two numbers"),
+    "progress": (_one_of(bool, having="__call__"), "True, False or a function of two numbers"),
 }
