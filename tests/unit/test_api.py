@@ -160,7 +160,7 @@ def test_the_page_has_the_ground_what_has_no_mesh_and_the_files() -> None:
     )
     assert np.ptp(z_m) < 0.2 and z_m.mean() == pytest.approx(wall.min(), abs=0.2)
     assert data["crs"] == "RGF93 v1 / Lambert-93"
-    assert f"Made by p2wss {p2wss.__version__} of cloud, footprints." in page
+    assert f"Made by p2wss {p2wss.__version__} from cloud, footprints." in page
 
 
 def test_a_scene_is_drawn_by_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:

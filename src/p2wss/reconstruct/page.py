@@ -129,7 +129,7 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
 def _origin(facts: Mapping[str, Any]) -> str:
     """A sentence: what made the page, of which files."""
     names = [*facts.get("clouds", []), *filter(None, [facts.get("footprints"), facts.get("terrain")])]
-    return f"Made by p2wss {facts.get('version', '')} of {', '.join(names)}." if names else ""
+    return f"Made by p2wss {facts.get('version', '')} from {', '.join(names)}." if names else ""
 
 
 def _place(
