@@ -20,10 +20,10 @@ from p2wss.skeleton.status import (
     WRONG_GENUS,
     ZERO_AREA_TRIANGLE,
 )
+from p2wss.skeleton.triangulate import MIN_AREA_M2
 
 _PLANE_M = 1e-3
 _AREA_SHARE = 1e-4
-_MIN_AREA_M2 = 1e-12
 
 
 @inner
@@ -140,7 +140,7 @@ def check_solid(
         abx, aby, abz = point[b, 0] - point[a, 0], point[b, 1] - point[a, 1], point[b, 2] - point[a, 2]
         acx, acy, acz = point[c, 0] - point[a, 0], point[c, 1] - point[a, 1], point[c, 2] - point[a, 2]
         nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
-        if nx * nx + ny * ny + nz * nz < _MIN_AREA_M2 * _MIN_AREA_M2:
+        if nx * nx + ny * ny + nz * nz < MIN_AREA_M2 * MIN_AREA_M2:
             return ZERO_AREA_TRIANGLE
         volume += nx * point[a, 0] + ny * point[a, 1] + nz * (point[a, 2] - base)
         label = triangle_label[t]

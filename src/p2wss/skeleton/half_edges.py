@@ -59,9 +59,12 @@ def find(parent: np.ndarray, a: int) -> int:
 
 
 class _Places(NamedTuple):
-    """The nodes of the skeleton; ``number[:num]``, those that stand for all at their place, with ``x`` and ``y`` of
-    each; by how much two at one place in plan differ in height if they are above each other at a wall."""
+    """The edges of the footprint and the nodes of the skeleton; ``number[:num]``, those that stand for all at their
+    place, with ``x`` and ``y`` of each; by how much two at one place in plan differ in height if they are above each
+    other at a wall."""
 
+    edge: np.ndarray
+    num_edges: int
     node: np.ndarray
     number: np.ndarray
     x: np.ndarray
@@ -72,12 +75,12 @@ class _Places(NamedTuple):
 
 @embedded
 def _storey(edge: np.ndarray, num_edges: int) -> float:
-    """What the steepest roof rises over the tolerance in plan, and as much again as the tolerance."""
+    """Twice what the steepest roof rises over the tolerance in plan, and twice the tolerance."""
     slowest = np.inf
     for e in range(num_edges):
         if 0.0 < edge[e].final_speed < slowest:
             slowest = edge[e].final_speed
-    return (1.0 + 1.0 / slowest) * _SAME_PLACE_M
+    return 2.0 * (1.0 + 1.0 / slowest) * _SAME_PLACE_M
 
 
 @embedded
@@ -104,18 +107,21 @@ def _nearest_place(places: _Places, k: int) -> int:
 
 
 @embedded
-def _gather_nodes(node: np.ndarray, num_nodes: int, mesh_work: MeshWork, storey_m: float) -> _Places:
+def _gather_nodes(
+    edge: np.ndarray, num_edges: int, node: np.ndarray, num_nodes: int, mesh_work: MeshWork
+) -> _Places:
     """Let the first of several nodes at one place stand for the others, ``parent[k]`` for node k; the corners of the
     footprint come first."""
     number, x, y, parent = mesh_work.place, mesh_work.place_x, mesh_work.place_y, mesh_work.parent
-    places = _Places(node, number, x, y, ZERO, storey_m)
+    storey_m = _storey(edge, num_edges)
+    places = _Places(edge, num_edges, node, number, x, y, ZERO, storey_m)
     for k in range(num_nodes):
         parent[k] = k
         if _num_about(places, node[k].x, node[k].y) > 0:
             parent[k] = _nearest_place(places, k)
         if parent[k] == k:
             number[places.num], x[places.num], y[places.num] = k, node[k].x, node[k].y
-            places = _Places(node, number, x, y, places.num + 1, storey_m)
+            places = _Places(edge, num_edges, node, number, x, y, places.num + 1, storey_m)
     for k in range(num_nodes):
         if parent[k] != k:  # a later place may be nearer
             parent[k] = _nearest_place(places, k)
@@ -166,11 +172,54 @@ def _add(half: np.ndarray, label_head: np.ndarray, num_half: int, start: int, en
 
 
 @inner
+def _is_behind(places: _Places, faces: tuple[int, int], k: int) -> bool:
+    """Whether place k is behind the edge of the footprint of one of two faces: on the other side of a notch, so that it
+    is not near to what is at the edge."""
+    edge, node = places.edge, places.node
+    for e in faces:
+        if e >= places.num_edges:
+            continue
+        qx, qy = node[k].x - edge[e].x, node[k].y - edge[e].y
+        along, inwards = qx * edge[e].dir_x + qy * edge[e].dir_y, qy * edge[e].dir_x - qx * edge[e].dir_y
+        if inwards < -_STRAIGHT_M and 0.0 < along < edge[e].length:
+            return True
+    return False
+
+
+@inner
+def _put_storeys_ahead(places: _Places, mesh_work: MeshWork, ends: tuple[int, int], end_place: int) -> int:
+    """The same as :func:`_put_cells_ahead` for an arc that rises along a wall: the places at heights between."""
+    node, ahead = places.node, mesh_work.ahead
+    a, b = ends
+    rise = node[b].z - node[a].z
+    ahead[0] = end_place
+    num_ahead = ZERO + 1
+    for m in range(places.num):
+        k = places.number[m]
+        qx, qy = node[k].x - node[a].x, node[k].y - node[a].y
+        from_a, from_b = (node[k].z - node[a].z) * rise, (node[b].z - node[k].z) * rise
+        is_between = min(from_a, from_b) > places.storey_m * abs(rise)
+        if is_between and qx * qx + qy * qy < _SAME_PLACE_M * _SAME_PLACE_M:
+            at = num_ahead
+            while at > 1 and (node[ahead[at - 1]].z - node[k].z) * rise < 0.0:
+                ahead[at] = ahead[at - 1]
+                at -= 1
+            ahead[at] = k
+            num_ahead += 1
+    return num_ahead
+
+
+@inner
 def _put_cells_ahead(
-    places: _Places, mesh_work: MeshWork, ends: tuple[int, int], end_places: tuple[int, int]
+    places: _Places,
+    mesh_work: MeshWork,
+    ends: tuple[int, int],
+    end_places: tuple[int, int],
+    faces: tuple[int, int],
 ) -> int:
-    """Write the places whose cells an arc runs through, the last one first, to ``ahead``, without the place of its
-    start. The cell of a place is all that is nearer to it than to any other, up to the tolerance. Returns the number.
+    """Write the places whose cells an arc between two faces runs through, the last one first, to ``ahead``, without the
+    place of its start. The cell of a place is all that is nearer to it than to any other, up to the tolerance. Returns
+    the number.
     """
     node, near, ahead = places.node, mesh_work.near, mesh_work.ahead
     a, b = ends
@@ -178,6 +227,8 @@ def _put_cells_ahead(
     length = np.sqrt(dx * dx + dy * dy)
     ahead[0] = end_places[1]
     num_ahead = ZERO + 1
+    if length < _SAME_PLACE_M and abs(dz) > places.storey_m:
+        return _put_storeys_ahead(places, mesh_work, ends, end_places[1])
     if length == 0.0:
         return num_ahead
     dx, dy, dz = dx / length, dy / length, dz / length
@@ -187,9 +238,10 @@ def _put_cells_ahead(
         qx, qy = node[k].x - node[a].x, node[k].y - node[a].y
         across, along = abs(qx * dy - qy * dx), qx * dx + qy * dy
         is_near = across < _SAME_PLACE_M and -_SAME_PLACE_M < along < length + _SAME_PLACE_M
-        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:
-            near[num_near] = k
-            num_near += 1
+        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:  # noqa: SIM102
+            if not _is_behind(places, faces, k):
+                near[num_near] = k
+                num_near += 1
     for i in range(num_near):
         k = near[i]
         if k == end_places[0] or k == end_places[1]:
@@ -220,8 +272,8 @@ def _put_cells_ahead(
 
 
 @inner
-def _place_on_edge(places: _Places, a: int, b: int) -> int:
-    """The place nearest to the edge from a to b that it almost touches, -1 for none."""
+def _place_on_edge(places: _Places, a: int, b: int, faces: tuple[int, int]) -> int:
+    """The place nearest to the edge from a to b, between two faces, that it almost touches, -1 for none."""
     node = places.node
     dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
     length = np.sqrt(dx * dx + dy * dy)
@@ -233,8 +285,9 @@ def _place_on_edge(places: _Places, a: int, b: int) -> int:
         across = abs(qx * dy - qy * dx)
         along = qx * dx + qy * dy
         is_near = across < best_m and 0.0 < along < length and k != a and k != b
-        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:
-            best, best_m = k, across
+        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:  # noqa: SIM102
+            if not _is_behind(places, faces, k):
+                best, best_m = k, across
     return best
 
 
@@ -259,7 +312,12 @@ def _is_alone(places: _Places, a: int, b: int) -> bool:
 
 @embedded
 def _add_arc(
-    places: _Places, mesh_work: MeshWork, num_half: int, ends: tuple[int, int], labels: tuple[int, int]
+    places: _Places,
+    mesh_work: MeshWork,
+    num_half: int,
+    ends: tuple[int, int],
+    faces: tuple[int, int],
+    labels: tuple[int, int],
 ) -> int:
     """Add an arc (start, end) under the labels of its left and right face, by way of all places that it passes through.
     Returns the number of half-edges, or -1 if there is no room.
@@ -272,13 +330,13 @@ def _add_arc(
     is_alone = a == ends[0] and b == ends[1] and _is_alone(places, a, b)
     num_ahead, ahead[0] = ZERO + 1, b
     if not is_alone:
-        num_ahead = _put_cells_ahead(places, mesh_work, ends, (a, b))
+        num_ahead = _put_cells_ahead(places, mesh_work, ends, (a, b), faces)
     while num_ahead > 0:
         b = ahead[num_ahead - 1]
         if a == b:
             num_ahead -= 1
             continue
-        k = -1 if is_alone else _place_on_edge(places, a, b)
+        k = -1 if is_alone else _place_on_edge(places, a, b, faces)
         if k >= 0:
             if num_ahead == len(ahead):
                 return -1
@@ -325,7 +383,7 @@ def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: M
     labels = num_labels(num_edges, counts)
     if labels > len(label_head) or num_nodes + num_edges > len(mesh_work.out_head):
         return OVERFLOW, 0
-    places = _gather_nodes(node, num_nodes, mesh_work, _storey(edge, num_edges))
+    places = _gather_nodes(edge, num_edges, node, num_nodes, mesh_work)
     _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent)
     for label in range(labels):
         label_head[label] = -1
@@ -336,8 +394,10 @@ def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: M
             a, b = arc[k].start, arc[k].end
             left = find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].left))
             right = find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].right))
+            faces = arc[k].left, arc[k].right
         else:
             a = k - counts[NUM_ARCS]
+            faces = a, a
             b = edge[a].next
             left = find(label_parent, _face_label(edge, num_edges, cap_height, counts, a))
             right = find(label_parent, wall_label(num_edges, counts, a))
@@ -349,7 +409,7 @@ def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: M
             num_half = _add(half, label_head, num_half, a, num_nodes + a, right)
         if left == right:
             continue
-        num_half = _add_arc(places, mesh_work, num_half, (a, b), (left, right))
+        num_half = _add_arc(places, mesh_work, num_half, (a, b), faces, (left, right))
         if num_half < 0:
             return OVERFLOW, 0
     for label in range(labels):

@@ -49,6 +49,8 @@ _PARALLEL = 1e-7  # sine below which two edges are parallel
 _OBLIQUE = 1e-3  # sine above which the point where two edges meet is precise
 _REFLEX = -1e-9
 _LENGTH_M = 1e-7  # a piece shorter than this has vanished
+_JUMP_M = 1e-6  # by how much a piece moves at most when it swallows one that is almost on its line
+_AREA_M2 = 1e-6  # twice the area of a loop that has vanished
 _STILL = 1e-12  # a rate of change below this counts as zero
 _TIE = 1e-10  # of events closer than this in height, collapses come before splits
 _NEVER = np.inf
@@ -212,7 +214,7 @@ def _split_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, 
     v_x, v_y = _position(node, vertex, v, t)
     a_x, a_y = _position(node, vertex, a, t)
     gap = _beyond(edge, e, v_x, v_y, t)
-    if gap <= -_LENGTH_M:
+    if gap <= -_JUMP_M:
         return _NEVER
     dt = max(gap, 0.0) / -approach
     hit_x, hit_y = v_x + dt * vertex[v].vel_x, v_y + dt * vertex[v].vel_y
@@ -324,10 +326,12 @@ def _loop_area(node: np.ndarray, vertex: np.ndarray, v: int, t: float, limit: in
 
 
 @inner
-def _inside_loop(
-    node: np.ndarray, vertex: np.ndarray, v: int, x: float, y: float, t: float, limit: int
-) -> bool:
-    inside = False
+def _depth2(
+    node: np.ndarray, vertex: np.ndarray, v: int, place: tuple[float, float], t: float, limit: int
+) -> float:
+    """Squared distance of a place from the loop of v, negative outside."""
+    x, y = place
+    inside, nearest2 = False, np.inf
     w = v
     a_x, a_y = _position(node, vertex, w, t)
     for _ in range(limit):
@@ -335,10 +339,36 @@ def _inside_loop(
         b_x, b_y = _position(node, vertex, w, t)
         if crosses(a_x, a_y, b_x, b_y, x, y):
             inside = not inside
+        dx, dy = b_x - a_x, b_y - a_y
+        share = (x - a_x) * dx + (y - a_y) * dy
+        share = min(share / (dx * dx + dy * dy), 1.0) if share > 0.0 else 0.0
+        nearest2 = min(nearest2, (a_x + share * dx - x) ** 2 + (a_y + share * dy - y) ** 2)
         a_x, a_y = b_x, b_y
         if w == v:
             break
-    return inside
+    return nearest2 if inside else -nearest2
+
+
+@inner
+def _loop_inside_loop(
+    node: np.ndarray, vertex: np.ndarray, v: int, outline: int, t: float, limit: int
+) -> bool:
+    """Whether the loop of v is inside another one. The place that is farthest from the other decides, a vertex or the
+    middle of a piece, because the two may touch."""
+    best = 0.0
+    w = v
+    a_x, a_y = _position(node, vertex, w, t)
+    for _ in range(limit):
+        w = vertex[w].next
+        b_x, b_y = _position(node, vertex, w, t)
+        for place in ((b_x, b_y), (0.5 * (a_x + b_x), 0.5 * (a_y + b_y))):
+            depth2 = _depth2(node, vertex, outline, place, t, limit)
+            if abs(depth2) > abs(best):
+                best = depth2
+        a_x, a_y = b_x, b_y
+        if w == v:
+            break
+    return best > 0.0
 
 
 @inner
@@ -347,13 +377,12 @@ def _region_outline(node: np.ndarray, vertex: np.ndarray, counts: np.ndarray, v:
     limit = counts[NUM_VERTICES]
     if _loop_area(node, vertex, v, t, limit) > 0.0:
         return v
-    x, y = _position(node, vertex, v, t)
     best, best_area = v, np.inf
     for w in range(limit):
         if vertex[w].alive == 0 or not _is_first_of_loop(vertex, w, limit):
             continue
         area = _loop_area(node, vertex, w, t, limit)
-        if 0.0 < area < best_area and _inside_loop(node, vertex, w, x, y, t, limit):
+        if 0.0 < area < best_area and _loop_inside_loop(node, vertex, v, w, t, limit):
             best, best_area = w, area
     return best
 
@@ -558,6 +587,12 @@ def _split(work: SkeletonWork, v: int, t: float) -> tuple[int, int]:
     else:
         _name_loop(vertex, second, counts[NUM_LOOPS], limit)
         counts[NUM_LOOPS] += 1
+        # what had just joined another wavefront may leave it again at the same place
+        if (
+            min(_loop_area(node, vertex, first, t, limit), _loop_area(node, vertex, second, t, limit))
+            < -_AREA_M2
+        ):
+            counts[NUM_HOLES] += 1
     return first, second
 
 

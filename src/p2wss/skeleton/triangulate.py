@@ -8,6 +8,7 @@ import numpy as np
 from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.records import Corners, Ears
 
+MIN_AREA_M2 = 1e-12  # twice the area of the smallest triangle of a solid
 _SMALLEST_QUALITY = 1e-9
 # distances from a side over its length: a corner nearer than the first lies on it, and one nearer than the second is a
 # reason to cut elsewhere
@@ -143,6 +144,8 @@ def _ear_quality(corners: Corners, ears: Ears, i: int) -> float:
     if longest2 == 0.0 or area <= _SMALLEST_QUALITY * longest2:
         return 0.0
     quality = area / longest2
+    if area < MIN_AREA_M2:
+        quality *= _SMALLEST_QUALITY  # the last choice: it may be too small in space, too
     q = after[c]
     while q != a:
         if (

@@ -58,6 +58,39 @@ def test_noise_of_every_size(ring: np.ndarray, noise_m: float) -> None:
     assert (meshes.status == 0).all()
 
 
+@pytest.mark.parametrize("inner_deg", [45.0, 60.0, 90.0])
+def test_a_courtyard_whose_wavefront_touches_the_outer_one(inner_deg: float) -> None:
+    """The flat inner edge sweeps a triangle whose tip ends on the outer edge."""
+    turn = np.pi / 3.0 * np.arange(6)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    turned = [np.array([[np.cos(t), np.sin(t)], [-np.sin(t), np.cos(t)]]) for t in np.linspace(0, np.pi, 20)]
+    polygons = Polygons.from_rings([[10.0 * circle @ each, 5.0 * circle[::-1] @ each] for each in turned])
+    angle_deg = np.array([0.0, *[30.0] * 5, 0.0, *[inner_deg] * 5])
+    meshes = build(polygons, np.tile(angle_deg, 20), np.full(20, 5.0))
+    assert (meshes.status == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        (0, 29127),  # both sides of a sharp notch between walls, at one height
+        (1, 57029),  # as above
+        (2, 36436),  # a piece jumps past a vertex when it swallows a parallel one
+        (6, 38695),  # an arc that rises along a wall past another node
+    ],
+)
+def test_shapes_that_failed(seed: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import near_ties
+
+    first = number // 2400 * 2400
+    draws = near_ties.draw(number + 1 - first, 1_000_003 * seed + first)
+    ring, polygon = draws.polygons.ring_offset, draws.polygons.polygon_offset[-2:]
+    rings = [draws.polygons.xy_m[ring[k] : ring[k + 1]] for k in range(*polygon)]
+    angle_deg = draws.angle_deg[-sum(map(len, rings)) :]
+    assert build(Polygons.from_rings([rings]), angle_deg, np.full(1, 5.0)).status.tolist() == [0]
+
+
 def test_either_orientation_and_one_part() -> None:
     ring, angle_deg = [(0, 0), (20, 0), (20, 10), (0, 10)], [45, 90, 30, 90]
     expected = p2wss.roof(ring, 3, angle_deg)
