@@ -132,15 +132,19 @@ def evaluate(
     crs: str | None = None,
     id_field: str | None = None,
     height_unit: str = "",
+    layer: str = "",
 ) -> pd.DataFrame:
     """How far the points of each building are from its mesh, with one row per footprint.
 
     buildings: a scene, or a CityJSON file of any program. id_field: column of the footprints with the ids of the
-    buildings. crs, height_unit: of the clouds, whatever they state. Columns: see :func:`p2wss.eval.files.evaluate`.
+    buildings. crs, height_unit: of the clouds, whatever they state. layer: of a file of footprints, as the setting
+    ``reconstruct.footprint_layer``: "" is the first with polygons. Columns: see :func:`p2wss.eval.files.evaluate`.
     """
     from p2wss.eval import files
 
-    return files.evaluate(buildings, footprints, clouds, crs=crs, id_field=id_field, height_unit=height_unit)
+    return files.evaluate(
+        buildings, footprints, clouds, crs=crs, id_field=id_field, height_unit=height_unit, layer=layer
+    )
 
 
 @public

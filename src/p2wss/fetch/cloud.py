@@ -70,7 +70,7 @@ def write_cloud(
         laspy.open(temporary, "w", header=header, do_compress=True) as writer,
     ):
         for path in paths:
-            with laspy.open(path) as reader:
+            with open_cloud(path) as reader:
                 for points in reader.chunk_iterator(_CHUNK_POINTS):
                     x, y = np.asarray(points.x), np.asarray(points.y)
                     keep = _in(x, y, bounds)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from p2wss.footprints.osm_tags import with_others
 from p2wss.footprints.vector_files import is_missing
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -234,7 +235,8 @@ def stated_heights_m(
     From the column ``height_field`` or, in this order, the schema's heights, differences and floors of 3 m; text such
     as "12.5 m" or "40 ft" too. Raises :class:`InputError` if there is no column ``height_field``.
     """
-    by_name = {name.lower(): values for name, values in features.columns.items()}
+    columns = with_others(features.columns, (*schema.heights_m, *schema.floors))
+    by_name = {name.lower(): values for name, values in columns.items()}
     candidates = []
     if height_field is not None:
         candidates.append(_metres(_column(features.columns, height_field, path)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ import pyproj
 import shapely
 
 from p2wss.data.tiling import Bounds
+from p2wss.footprints import osm_tags
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features, columns_of
@@ -25,6 +28,9 @@ _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
 # the phrase of messages
 _KIND = "a readable vector file"
 _POINT, _LINE, _POLYGON = 1, 2, 3
+# endings of tables as text, and columns in which they may have geometry
+_TABLES = (".csv", ".tsv", ".psv")
+_WKT_COLUMNS = ("WKT", "geometry", "geom", "the_geom", "wkt_geom")
 
 
 def read_vector(
@@ -40,34 +46,73 @@ def read_vector(
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
-    integrity.verify(path)
+    if not Path(path).is_dir():  # a file geodatabase is a folder
+        integrity.verify(path)
     chosen, others = _layer(path, layer)
     if others and not layer:
         text = "note: %s: layer %s, the first that may have polygons, is read; --layer reads another: %s"
         log.info(text, path, chosen, ", ".join(others))
-    with reading(path, _KIND):
+    with _opening(path):
         if _is_parquet(path):
             import geopandas as gpd
             import pyarrow.parquet as pq
 
-            pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance
+            table = pq.read_table(path)
+            table.validate(full=True)  # text that is not UTF-8, for instance
+            if b"geo" not in (table.schema.metadata or {}):
+                raise InputError(f"{path}: {no_geometry(path)}")
             features = Features.of(gpd.read_parquet(path))
             number = np.arange(len(features))
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
         meta, number, wkb, values = pyogrio.raw.read(
-            path, layer=chosen, bbox=bounds, return_fids=True, datetime_as_string=True
+            path, layer=chosen, bbox=bounds, return_fids=True, datetime_as_string=True, **_options(path)
         )
     if wkb is None:
-        raise InputError(f"{path}: has no geometry")
+        raise InputError(f"{path}: {no_geometry(path)}")
     with reading(path, _KIND):
         try:
             shapes = shapely.from_wkb(wkb)
         except shapely.errors.GEOSException:
             shapes = shapely.from_wkb([each and _plain_wkb(each) for each in wkb], "ignore")
         crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
-        return Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs), number
+        features = Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs)
+    is_building = osm_tags.is_building(features.columns, len(features))
+    if not is_building.all():
+        log.info("note: %s: %d areas that are no buildings are left out", path, (~is_building).sum())
+    return features.take(is_building), number[is_building]
+
+
+@contextmanager
+def _opening(path: str | Path) -> Iterator[None]:
+    """Any error of the block is an :class:`InputError`; of a format that is not known, with what to do."""
+    with reading(path, _KIND), warnings.catch_warnings():
+        # of a database by another ending, which is read all the same
+        warnings.filterwarnings("ignore", ".*non conformant file extension", RuntimeWarning)
+        try:
+            yield
+        except pyogrio.errors.DataSourceError as error:
+            if "not recognized" not in str(error):
+                raise
+            raise InputError(f"{path}: not {_KIND}; save it as GeoPackage, with QGIS for instance") from error
+
+
+def _options(path: str | Path) -> dict[str, str]:
+    """What GDAL must be told to read a file."""
+    ending = Path(path).suffix.lower()
+    if ending in _TABLES:
+        return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS)}
+    return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending in (".osm", ".pbf") else {}
+
+
+def no_geometry(path: str | Path) -> str:
+    """The words for a file without geometry, with what it lacks."""
+    if _is_parquet(path):
+        return "has no geometry; a Parquet file needs the metadata of GeoParquet, as geopandas writes them"
+    if Path(path).suffix.lower() in _TABLES:
+        return f"has no geometry; a table needs WKT in a column {', '.join(_WKT_COLUMNS)}"
+    return "has no geometry"
 
 
 def _is_parquet(path: str | Path) -> bool:
@@ -87,7 +132,7 @@ def _layer(path: str | Path, stated: str) -> tuple[str | None, list[str]]:
         if stated:
             raise InputError(f"{path}: has no layers; omit --layer")
         return None, []
-    with reading(path, _KIND):
+    with _opening(path):
         layers = pyogrio.list_layers(path).tolist()
     names = [str(name) for name, _ in layers]
     if stated and stated not in names:
@@ -109,10 +154,10 @@ def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
     if _is_parquet(path):
         info = _geoparquet_info(path)
     else:
-        with reading(path, _KIND), warnings.catch_warnings():
+        with _opening(path):
             # several layers are reported when the file is read
             warnings.simplefilter("ignore")
-            info = dict(pyogrio.read_info(path, layer=chosen))
+            info = dict(pyogrio.read_info(path, layer=chosen, **_options(path)))
     return info | {"layer": chosen, "other_layers": others}
 
 
@@ -157,6 +202,7 @@ def _attributes(
         read_geometry=False,
         return_fids=True,
         datetime_as_string=True,
+        **_options(path),
     )
     return dict(zip(meta["fields"].tolist(), values, strict=True)), number
 

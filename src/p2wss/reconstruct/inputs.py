@@ -304,7 +304,7 @@ def _check_footprints(
         raise InputError(f"{name}: has no features")
     geometry = info["geometry_type"]
     if geometry is None:
-        raise InputError(f"{name}: has no geometry")
+        raise InputError(f"{name}: {vector_files.no_geometry(name)}")
     if info["features"] and not any(
         kind in geometry for kind in ("Polygon", "Surface", "Collection", "Unknown")
     ):

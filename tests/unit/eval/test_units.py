@@ -106,3 +106,10 @@ def test_clouds_of_another_crs_are_refused(city: Path, tmp_path: Path) -> None:
     cloud = houses.write_cloud(tmp_path / "d.laz", "EPSG:2154")
     with pytest.raises(InputError, match=r"d\.laz: is in RGF93 .* but .*c\.city\.json is in NAD83"):
         p2wss.evaluate(city, city.with_name("f.gpkg"), cloud)
+
+
+def test_footprints_are_those_of_a_stated_layer(city: Path, tmp_path: Path) -> None:
+    houses.footprints(PLACE).iloc[:1].to_file(tmp_path / "f.gpkg", layer="old")
+    houses.footprints(PLACE).to_file(tmp_path / "f.gpkg", layer="new")
+    table = p2wss.evaluate(city, tmp_path / "f.gpkg", city.with_name("c.laz"), layer="new")
+    assert sorted(table.index) == ["flat", "gable"] and list(table["status"]) == ["ok", "ok"]

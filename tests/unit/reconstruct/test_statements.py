@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import control_houses as houses
+import laspy
 import numpy as np
 import pytest
 import shapely
@@ -122,6 +123,21 @@ def test_a_layer_by_name(tmp_path: Path) -> None:
     config["reconstruct"]["footprint_layer"] = "newest"
     with pytest.raises(InputError, match=r"f\.gpkg: has no layer newest; its layers are old, new"):
         built(cloud, path, config=config)
+
+
+def test_levels_of_a_part_serve_where_points_do_not_decide(tmp_path: Path) -> None:
+    frame = houses.footprints().rename(columns={"id": "osm_way_id"}).assign(osm_id=None, building=None)
+    frame["other_tags"] = '"building:part"=>"yes","building:levels"=>"2"'
+    frame.to_file(tmp_path / "f.gpkg")
+    cloud = laspy.read(houses.write_cloud(tmp_path / "c.laz"))
+    local = cloud.xyz[:, :2] - houses.PLACES["EPSG:2154"]
+    cloud.points = cloud.points[~shapely.contains_xy(houses.FLAT.buffer(1), *local.T)]
+    cloud.write(tmp_path / "c.laz")
+    config = {"reconstruct": {"registration": "never"}}
+    with p2wss.reconstruct(tmp_path / "c.laz", tmp_path / "f.gpkg", progress=False, config=config) as scene:
+        assert scene["gable"].status == "ok"
+        assert scene["flat"].reason == "height-from-attribute"
+        assert scene["flat"].mesh.volume == pytest.approx(10 * 10 * 6.0, rel=0.01)
 
 
 def test_solids_without_faces_or_shells_are_not_valid(tmp_path: Path) -> None:

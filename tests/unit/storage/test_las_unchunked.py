@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from p2wss.clouds.reading import read_clouds
+from p2wss.fetch.cloud import write_cloud
 from p2wss.storage.errors import InputError
 
 
@@ -48,3 +49,18 @@ def test_a_truncated_file_without_chunks_is_refused(chunked: Path, tmp_path: Pat
     (tmp_path / "old.laz").write_bytes(content[: len(content) // 2])
     with pytest.raises(InputError, match=r"old\.laz"):
         read_clouds([tmp_path / "old.laz"])
+
+
+def test_points_without_chunks_are_cut_to_a_tile(chunked: Path, tmp_path: Path) -> None:
+    path = without_chunks(tmp_path / "old.laz", chunked.read_bytes())
+    counts = [
+        write_cloud(tmp_path / f"{each.stem}_cut.laz", [each], (0, 0, 50, 50), "EPSG:2154")
+        for each in (path, chunked)
+    ]
+    assert counts[0] == counts[1] > 4000
+    old, new = (read_clouds([tmp_path / f"{name}_cut.laz"]) for name in ("old", "chunked"))
+    assert np.array_equal(old.x_m, new.x_m) and np.array_equal(old.z_m, new.z_m)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(InputError, match=r"old\.laz"):
+        write_cloud(tmp_path / "none.laz", [path], (0, 0, 50, 50), "EPSG:2154")
+    assert not (tmp_path / "none.laz").exists()

@@ -1,0 +1,120 @@
+"""Footprints in formats of every kind: read right, or refused in one line that says what to do."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import control_houses as houses
+import geopandas as gpd
+import numpy as np
+import osm_files
+import pandas as pd
+import pytest
+import shapely
+
+from p2wss.data.crs import MetricCrs
+from p2wss.footprints.cleaning import read_footprints
+from p2wss.footprints.vector_files import layer_info
+from p2wss.storage.errors import InputError
+
+FOREST = shapely.box(-40, -40, 40, 40)
+
+
+def _to_file(frame: gpd.GeoDataFrame, path: Path, driver: str) -> Path:
+    frame.to_file(path, driver=driver)
+    return path
+
+
+def _table(frame: gpd.GeoDataFrame, path: Path, column: str, separator: str = ",") -> Path:
+    table = pd.DataFrame(frame.drop(columns="geometry")).assign(**{column: frame.geometry.to_wkt()})
+    table.to_csv(path, index=False, sep=separator)
+    return path
+
+
+def _moved(path: Path, to: str) -> Path:
+    return Path(shutil.move(path, path.with_name(to)))
+
+
+def _osm(frame: gpd.GeoDataFrame, path: Path, write: Callable[[Path, osm_files.Ways], Path]) -> Path:
+    degrees = frame.to_crs(4326).geometry
+    around = shapely.box(*shapely.buffer(shapely.box(*degrees.total_bounds), 0.001).bounds)
+    tags = [{"building": "yes", "height": "8 m"}, {"building:part": "yes", "building:levels": "2"}]
+    shapes = [*degrees, around]
+    rings = [np.array(each.exterior.coords)[:-1] for each in shapes]
+    return write(path, dict(enumerate(zip(rings, [*tags, {"landuse": "forest"}], strict=True), 1)))
+
+
+WRITERS: dict[str, Callable[[gpd.GeoDataFrame, Path], Path]] = {
+    "kml": lambda frame, folder: _to_file(frame, folder / "f.kml", "LIBKML"),
+    "gml": lambda frame, folder: _to_file(frame, folder / "f.gml", "GML"),
+    "fgb": lambda frame, folder: _moved(_to_file(frame, folder / "f.fgb", "FlatGeobuf"), "f.bin"),
+    "gdb": lambda frame, folder: _to_file(frame, folder / "f.gdb", "OpenFileGDB"),
+    "gpkg": lambda frame, folder: _moved(_to_file(frame, folder / "f.gpkg", "GPKG"), "f.db"),
+    "csv": lambda frame, folder: _table(frame, folder / "f.csv", "WKT"),
+    "csv geometry": lambda frame, folder: _table(frame, folder / "f.csv", "geometry", ";"),
+    "osm": lambda frame, folder: _osm(frame, folder / "f.osm", osm_files.write_xml),
+    "pbf": lambda frame, folder: _osm(frame, folder / "f.osm.pbf", osm_files.write_pbf),
+}
+
+
+@pytest.mark.parametrize("name", list(WRITERS))
+def test_formats_are_read_without_a_word(name: str, tmp_path: Path) -> None:
+    frame = houses.footprints()
+    path = WRITERS[name](frame, tmp_path)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert layer_info(path)["geometry_type"] is not None
+        features = read_footprints(path, needs_crs=False, metric=MetricCrs(frame.crs, frame.crs))
+    assert not said
+    names = features["building_id"].tolist()
+    assert sorted(names) == (["1", "2"] if name in ("osm", "pbf") else ["flat", "gable"])
+    shapes = features.geometry[np.argsort(names)] if len(names[0]) > 1 else features.geometry[::-1]
+    expected = frame.set_index("id").geometry[["flat", "gable"]].to_numpy()
+    assert (shapely.hausdorff_distance(shapely.force_2d(shapes), expected) < 0.05).all()
+
+
+@pytest.mark.parametrize("name", ["osm", "pbf"])
+def test_tags_of_a_file_of_openstreetmap_are_heights(name: str, tmp_path: Path) -> None:
+    path = WRITERS[name](houses.footprints(), tmp_path)
+    features = read_footprints(path, metric=MetricCrs(*[houses.footprints().crs] * 2))
+    assert features["stated_height_m"].tolist() == [8.0, 6.0]
+
+
+def test_rare_tags_in_one_column_are_heights_and_parts(tmp_path: Path) -> None:
+    """As ogr2ogr writes areas of OpenStreetMap."""
+    frame = houses.footprints().drop(columns="id")
+    frame = pd.concat([frame, frame.iloc[:1].set_geometry([FOREST], crs=frame.crs)], ignore_index=True)
+    frame["osm_id"], frame["osm_way_id"] = None, ["7", "8", "9"]
+    frame["building"] = ["yes", None, None]
+    frame["other_tags"] = [
+        '"height"=>"8 m","note"=>"a ""b"""',
+        '{"building:part":"yes","building:levels":"2"}',
+        '"leaf_type"=>"mixed"',
+    ]
+    frame.to_file(tmp_path / "f.gpkg")
+    features = read_footprints(tmp_path / "f.gpkg")
+    assert dict(zip(features["building_id"], features["stated_height_m"], strict=True)) == {
+        "7": 8.0,
+        "8": 6.0,
+    }
+
+
+def test_files_that_cannot_be_read_say_what_to_do(tmp_path: Path) -> None:
+    frame = houses.footprints()
+    plain = pd.DataFrame(frame.drop(columns="geometry"))
+    frame.to_feather(tmp_path / "f.feather")
+    plain.to_csv(tmp_path / "f.csv", index=False)
+    plain.to_parquet(tmp_path / "f.parquet")
+    (tmp_path / "empty.gdb").mkdir()
+    for name, words in {
+        "f.feather": "not a readable vector file; save it as GeoPackage",
+        "f.csv": "has no geometry; a table needs WKT in a column WKT, geometry, ",
+        "f.parquet": "has no geometry; a Parquet file needs the metadata of GeoParquet",
+        "empty.gdb": "not a readable vector file; save it as GeoPackage",
+    }.items():
+        with pytest.raises(InputError, match=words) as error:
+            read_footprints(tmp_path / name)
+        assert "\n" not in str(error.value) and name in str(error.value)
