@@ -43,12 +43,7 @@ TO_3DBAG = {
     "slope_deg": "b3_hellingshoek",
     "azimuth_deg": "b3_azimut",
 }
-_ROOF_TYPES_3DBAG = {
-    measures.FLAT: "horizontal",
-    measures.FLATS: "multiple horizontal",
-    measures.SLOPE: "slanted",
-    measures.SLOPES: "slanted",
-}
+_LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple horizontal"}
 
 
 def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: str = P2WSS) -> dict[str, Any]:
@@ -159,7 +154,7 @@ def _mesh_attributes(result: Result) -> dict[str, Any]:
 def _as_in_3dbag(ours: dict[str, Any], result: Result, clouds: Sequence[str]) -> dict[str, Any]:
     values = dict(ours)
     if result.status == "ok":
-        values["roof_type"] = _ROOF_TYPES_3DBAG[ours["roof_type"]]
+        values["roof_type"] = _LEVEL_ROOFS_3DBAG.get(ours["roof_type"], "slanted")
     else:
         values["roof_type"] = "no points" if result.reason == reasons.NO_POINTS else "no planes"
     values["points_date"] = None if result.dates is None else result.dates[1].year

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -17,7 +18,14 @@ from p2wss.skeleton.types import FaceKind
 
 # planes with less slope are flat
 FLAT_DEG = 3.0
-FLAT, FLATS, SLOPE, SLOPES = "flat", "several-flats", "single-slope", "several-slopes"
+FLAT, FLATS, SHED, GABLE, HIP, PYRAMID, SLOPES = (
+    "flat", "several-flats", "shed", "gable", "hip", "pyramid", "several-slopes",
+)  # fmt: skip
+# smaller shares of a roof do not count for the name of its type; directions of slopes that face away from each other
+# are less than 20 degrees from opposite
+_SMALL_SHARE, _OPPOSITE_COSINE = 0.01, -np.cos(np.radians(20))
+# a hip roof has eaves of one height, up to this share of its own; a ridge of less than this share of a hip is a point
+_EVEN_SHARE, _POINT_SHARE = 0.2, 0.1
 # walls within this distance of each other, and with directions up to this angle apart, stand against each other
 _PARTY_M, _PARTY_COSINE = 0.1, -np.cos(np.radians(5))
 _BISECTIONS = 24
@@ -29,11 +37,11 @@ _MAX_WALLS = 4096
 class MeshMeasures:
     """Measures of a building's mesh; heights in the height system of the cloud.
 
-    roof_type: ``flat`` (one level plane), ``several-flats``, ``single-slope`` (one plane with a slope and no other), or
-    ``several-slopes``; planes below 3 degrees are level. roof_z_min_m, roof_z_max_m: of all roof planes. roof_z_p50_m,
-    roof_z_p70_m: height below which 50 and 70 % of the roof lie, by area in plan. ridge_z_m: highest point where two
-    sloped planes of the roof meet in a convex edge; None without one. outer_floor_area_m2: of open ground within the
-    footprint, which is no roof. wall_area_m2: party walls included.
+    roof_type: ``flat`` (one level plane), ``several-flats``, ``shed``, ``gable``, ``hip``, ``pyramid``, or
+    ``several-slopes`` (all others); planes below 3 degrees are level. roof_z_min_m, roof_z_max_m: of all roof planes.
+    roof_z_p50_m, roof_z_p70_m: height below which 50 and 70 % of the roof lie, by area in plan. ridge_z_m: highest
+    point where two sloped planes of the roof meet in a convex edge; None without one. outer_floor_area_m2: of open
+    ground within the footprint, which is no roof. wall_area_m2: party walls included.
     """
 
     roof_type: str
@@ -60,11 +68,11 @@ def measure(mesh: Mesh) -> MeshMeasures:
     np.add.at(total, face, mesh.doubled_m2)
     slope_deg = np.degrees(bearings(np.column_stack([total[:, 2], np.hypot(total[:, 0], total[:, 1])])))[face]
     is_sloped = is_roof & (slope_deg >= FLAT_DEG)
-    num_sloped, num_level = len(np.unique(face[is_sloped])), len(np.unique(face[is_roof & ~is_sloped]))
-    if num_sloped:
-        roof_type = SLOPE if num_sloped == 1 and num_level == 0 else SLOPES
+    roof_faces, meetings = np.unique(face[is_roof]), _meetings(mesh, is_sloped)
+    if is_sloped.any():
+        roof_type = _sloped_type(mesh, is_sloped, roof_faces, total[roof_faces], meetings)
     else:
-        roof_type = FLATS if num_level > 1 else FLAT
+        roof_type = FLATS if len(roof_faces) > 1 else FLAT
     base_z = float(mesh.vertex_m[:, 2].min())
     z = np.sort(corner[is_roof, :, 2], axis=1)
     p50, p70 = (_height_quantile(z, np.abs(mesh.doubled_m2[is_roof, 2]), share) for share in (0.5, 0.7))
@@ -74,7 +82,7 @@ def measure(mesh: Mesh) -> MeshMeasures:
         base_z + p50,
         base_z + p70,
         base_z + float(z.max()),
-        _ridge_z(mesh, is_sloped),
+        float(meetings.top_z[meetings.is_convex].max()) if meetings.is_convex.any() else None,
         mesh.volume_m3,
         float(area[mesh.kind == FaceKind.GROUND].sum()),
         float(area[is_roof & ~is_sloped].sum()),
@@ -106,15 +114,56 @@ def _height_quantile(z: np.ndarray, weight: np.ndarray, share: float) -> float:
     return float(high_end)
 
 
-def _ridge_z(mesh: Mesh, is_sloped: np.ndarray) -> float | None:
+class _Meetings(NamedTuple):
+    """Edges between two sloped planes of a roof, each from both sides: the planes (e, 2), convex or not, lengths and
+    upper ends (e,)."""
+
+    face: np.ndarray
+    is_convex: np.ndarray
+    length_m: np.ndarray
+    top_z: np.ndarray
+
+
+def _meetings(mesh: Mesh, is_sloped: np.ndarray) -> _Meetings:
     triangle, side = np.nonzero((mesh.twin >= 0) & is_sloped[:, None] & is_sloped[mesh.twin // 3])
     beyond, side_beyond = np.divmod(mesh.twin[triangle, side], 3)
+    between = mesh.face[triangle] != mesh.face[beyond]
+    triangle, side, beyond, side_beyond = (each[between] for each in (triangle, side, beyond, side_beyond))
     # the corner of the second triangle that is not on the edge is below the first one's plane
     apex = mesh.corner_m[beyond, (side_beyond + 2) % 3]
     start, end = mesh.corner_m[triangle, side], mesh.corner_m[triangle, NEXT[side]]
     height = np.einsum("ij,ij->i", apex - start, mesh.doubled_m2[triangle])
-    is_ridge = (mesh.face[triangle] != mesh.face[beyond]) & (height < 0)
-    return float(np.maximum(start, end)[is_ridge, 2].max()) if is_ridge.any() else None
+    face = np.column_stack([mesh.face[triangle], mesh.face[beyond]])
+    return _Meetings(face, height < 0, np.linalg.norm(end - start, axis=1), np.maximum(start, end)[:, 2])
+
+
+def _sloped_type(
+    mesh: Mesh, is_sloped: np.ndarray, roof_faces: np.ndarray, normal_m2: np.ndarray, meetings: _Meetings
+) -> str:
+    """The name of a roof with slopes, by its planes and where they meet. is_sloped: (t,), triangles. roof_faces: (f,);
+    normal_m2: (f, 3), with the length of the doubled area."""
+    area_m2 = np.linalg.norm(normal_m2, axis=1)
+    is_main = area_m2 > _SMALL_SHARE * area_m2.sum()
+    main, down = roof_faces[is_main], normal_m2[is_main, :2]
+    among = np.isin(meetings.face, main).all(axis=1)
+    if not np.isin(main, mesh.face[is_sloped]).all() or not meetings.is_convex[among].all():
+        return SLOPES
+    if len(main) == 1:
+        return SHED
+    # each edge is there from both sides
+    length_m = np.zeros((len(main), len(main)))
+    np.add.at(length_m, tuple(np.searchsorted(main, meetings.face[among]).T), meetings.length_m[among])
+    down = down / np.linalg.norm(down, axis=1, keepdims=True)
+    is_opposite = down @ down.T < _OPPOSITE_COSINE
+    if len(main) == 2:
+        return GABLE if is_opposite[0, 1] and length_m[0, 1] > 0 else SLOPES
+    z = [mesh.corner_m[mesh.face == plane, :, 2] for plane in main]
+    eave_z, top_z = np.array([each.min() for each in z]), max(each.max() for each in z)
+    is_even = np.ptp(eave_z) < _EVEN_SHARE * (top_z - eave_z.min())
+    hip_m, ridge_m = length_m[~(is_opposite | np.eye(len(main), dtype=bool))], length_m[is_opposite]
+    if len(main) != 4 or len(ridge_m) != 4 or hip_m.min() == 0 or not is_even:
+        return SLOPES
+    return HIP if ridge_m.max() > _POINT_SHARE * hip_m.max() else PYRAMID
 
 
 def party_wall_areas_m2(meshes: Sequence[Mesh | None]) -> np.ndarray:

@@ -58,7 +58,7 @@ def measure(name: str, ring: np.ndarray, angle_deg: list[float]) -> measures.Mes
 
 def test_measures_of_a_gable_roof() -> None:
     measured = measure("gable", BOX, GABLE)
-    assert measured.roof_type == measures.SLOPES
+    assert measured.roof_type == measures.GABLE
     assert (measured.roof_z_min_m, measured.roof_z_max_m) == pytest.approx((105, 109))
     assert measured.ridge_z_m == pytest.approx(109)
     # heights over a plane are uniform in plan
@@ -75,12 +75,35 @@ def test_measures_of_other_roofs() -> None:
     assert {flat.roof_z_min_m, flat.roof_z_p50_m, flat.roof_z_p70_m, flat.roof_z_max_m} == {105.0}
     assert (flat.flat_roof_area_m2, flat.sloped_roof_area_m2) == pytest.approx((96, 0))
     shed = measure("shed", BOX, [20.0, 90, 90, 90])
-    assert shed.roof_type == measures.SLOPE and shed.ridge_z_m is None
+    assert shed.roof_type == measures.SHED and shed.ridge_z_m is None
     assert shed.roof_z_max_m == pytest.approx(105 + 8 * np.tan(np.radians(20)))
     hip = measure("hip", L_SHAPE, [40.0] * 6)
     # the valley is no ridge, the wings are equally wide up to 2 m
     assert hip.roof_type == measures.SLOPES and hip.ridge_z_m == pytest.approx(hip.roof_z_max_m)
     assert 105 < hip.roof_z_p50_m < hip.roof_z_p70_m < hip.roof_z_max_m
+
+
+@pytest.mark.parametrize(
+    ("ring", "angle_deg", "name"),
+    [
+        (BOX, [30, 90, 50, 90], "gable"),
+        (BOX, [40, 40, 40, 40], "hip"),
+        (BOX, [30, 50, 30, 50], "hip"),
+        (BOX * [5, 1], [45, 45, 45, 45], "hip"),
+        (BOX * [1, 1.5], [40, 40, 40, 40], "pyramid"),
+        (BOX * [1, 1.49], [40, 40, 40, 40], "pyramid"),
+        # one end is a gable; slopes round a corner; a valley between two wings
+        (BOX, [40, 40, 40, 90], "several-slopes"),
+        (BOX, [40, 40, 90, 90], "several-slopes"),
+        (L_SHAPE, [40, 90, 40, 40, 90, 40], "several-slopes"),
+        (L_SHAPE, [40] * 6, "several-slopes"),
+    ],
+)
+def test_roofs_have_the_names_of_the_field(ring: np.ndarray, angle_deg: list[float], name: str) -> None:
+    assert measure("any", ring, angle_deg).roof_type == name
+    turn = np.radians(33)
+    turned = ring @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    assert measure("turned", turned, angle_deg).roof_type == name
 
 
 def test_open_ground_is_no_roof() -> None:
@@ -89,7 +112,7 @@ def test_open_ground_is_no_roof() -> None:
     without = measure("house", np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]]), [SLOPE_DEG, 90, SLOPE_DEG, 90])
     assert measured.outer_floor_area_m2 == pytest.approx(YARD_M2) and without.outer_floor_area_m2 == 0
     assert measured.ground_area_m2 == pytest.approx(HOUSE_M2 + YARD_M2)
-    assert measured.flat_roof_area_m2 == 0 and measured.roof_type == measures.SLOPES
+    assert measured.flat_roof_area_m2 == 0 and measured.roof_type == measures.GABLE
     for name in (
         "sloped_roof_area_m2",
         "roof_z_min_m",
@@ -138,7 +161,7 @@ def test_names_of_3dbag() -> None:
     assert ours["points_date"] == "2021-02-03"
     assert theirs["b3_pw_datum"] == 2021 and theirs["b3_pw_bron"] == "ahn.laz"
     assert theirs["b3_h_nok"] == ours["ridge_z_m"] == 109
-    assert (ours["roof_type"], theirs["b3_dak_type"]) == ("several-slopes", "slanted")
+    assert (ours["roof_type"], theirs["b3_dak_type"]) == ("gable", "slanted")
     assert theirs["b3_kwaliteitsindicator"] is True and theirs["b3_val3dity_lod22"] == "[]"
     assert set(ours) - set(theirs) == {name for name in TO_3DBAG if name in ours}
     flat = replace(gable, status="flat", reason=reasons.NO_ROOF)
