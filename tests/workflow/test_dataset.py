@@ -89,8 +89,8 @@ def test_the_number_of_processes_trains_nothing_again(finished):
 
 def test_the_report_is_of_the_data_set_and_shows_each_draw(results):
     page = (results / "eval/report.html").read_text()
-    assert "Point2WSS on dataset" in page and "LiDAR of tests/mini/lidar" in page
-    assert f"town/1/{TOWN}</figcaption>" in page and f"town/2/{TOWN}</figcaption>" in page
+    assert "Point2WSS on dataset" in page and "Drawn LiDAR" in page
+    assert f"Tile town/1/{TOWN}, by" in page and f"Tile town/2/{TOWN}, by" in page
     assert "was also trained on these clouds" not in page, "the dvae saw others"
 
 

@@ -13,10 +13,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from PIL import Image
 
-# a $ in a name from the data is no formula
-matplotlib.rcParams["text.parse_math"] = False
+# a $ in a name from the data is no formula; equal figures have equal bytes
+matplotlib.rcParams |= {"text.parse_math": False, "svg.hashsalt": "p2wss"}
 
 COLORS = {
     "point2wss": "#e0996f",
@@ -29,26 +28,20 @@ COLORS = {
 _MAX_STEPS = 2000
 
 
-def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
-    """The figure as a ``data:`` URI of a PNG of 128 colours; closes the figure."""
+def data_uri(figure: Figure) -> str:
+    """The figure as a ``data:`` URI of an SVG; closes the figure."""
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=dots_per_inch)
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     plt.close(figure)
-    buffer.seek(0)
-    small = BytesIO()
-    # a third of the size, and no date or version in the metadata: equal figures have equal bytes
-    Image.open(buffer).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(
-        small, "png", optimize=True
-    )
-    return png_uri(small.getvalue())
+    return image_uri(buffer.getvalue(), "svg+xml")
 
 
-def png_uri(content: bytes) -> str:
-    """A PNG as a ``data:`` URI."""
-    return "data:image/png;base64," + base64.b64encode(content).decode()
+def image_uri(content: bytes, kind: str) -> str:
+    """An image as a ``data:`` URI."""
+    return f"data:image/{kind};base64," + base64.b64encode(content).decode()
 
 
-def curves(series: Mapping[str, pd.Series], x_label: str, title: str) -> Figure:
+def curves(series: Mapping[str, pd.Series], x_label: str, y_label: str) -> Figure:
     """Lines by name over their index; the y axis is logarithmic if all values are positive and span a decade."""
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for name, values in series.items():
@@ -62,27 +55,32 @@ def curves(series: Mapping[str, pd.Series], x_label: str, title: str) -> Figure:
         axes.yaxis.set_minor_formatter(
             lambda value, place: f"{value:g}" if every.max() < 30 * every.min() else ""
         )
-    return _finished(figure, x_label, title)
+    axes.locator_params(axis="x", nbins=6, integer=True)
+    axes.set_ylabel(y_label)
+    return _finished(figure, x_label)
 
 
 def cumulative(
     values: Mapping[str, np.ndarray], names: Mapping[str, str], x_label: str, title: str
 ) -> Figure:
-    """Share of buildings with at most x, one line per method. values: without NaN. names: of the methods."""
+    """Share of buildings with at most x, one line per method. values: without NaN. names: of the methods.
+
+    The axis ends at the median over the methods of their 95th percentiles: one bad method squeezes none of the others.
+    """
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for method, sample in values.items():
         # a data set of many buildings needs no point per value
         share = np.linspace(0, 1, min(len(sample), _MAX_STEPS))
         axes.plot(np.quantile(sample, share), share, label=names[method], color=COLORS.get(method))
-    axes.set_xlim(0, max(np.quantile(sample, 0.98) for sample in values.values()) or 1.0)
+    axes.set_xlim(0, np.median([np.quantile(sample, 0.95) for sample in values.values()]) or 1.0)
     axes.set(ylim=(0, 1), ylabel="share of buildings")
-    return _finished(figure, x_label, title)
+    axes.set_title(title, fontsize=10)
+    return _finished(figure, x_label)
 
 
-def _finished(figure: Figure, x_label: str, title: str) -> Figure:
+def _finished(figure: Figure, x_label: str) -> Figure:
     (axes,) = figure.axes
     axes.set_xlabel(x_label)
-    axes.set_title(title, fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return figure

@@ -15,6 +15,7 @@ import pyarrow as pa
 from pydantic import BaseModel
 
 from p2wss.config import Config, dataset_name, member_places, place_config
+from p2wss.config.fetch import Folder
 from p2wss.data.building import Reconstruction
 from p2wss.data.manifest import read_manifest
 from p2wss.eval import figures, tables
@@ -28,6 +29,7 @@ from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
 
 _IGN = "IGN - BD TOPO, RGE ALTI, LiDAR HD ({vintage}), Licence Ouverte / Open Licence 2.0 (Etalab)"
+_DRAWN = "Drawn by p2wss towns: footprints, terrain and LiDAR of the miniature, of no real place"
 # stem of the files: caption in LaTeX
 CAPTIONS = {
     "table1": "Parameters: mean absolute errors on the simulated test split, ours and the paper's.",
@@ -93,7 +95,11 @@ def titles(config: Config) -> dict[str, str]:
     """Titles of the data sets: of real clouds ``eval.lidar_name``, or what they are."""
     places = [place_config(config, place) for place in member_places(config)]
     names = [
-        "LiDAR HD" if place.fetch.source == "geoplateforme" else f"LiDAR of {place.fetch.folder.lidar}"
+        "LiDAR HD"
+        if place.fetch.source == "geoplateforme"
+        else "Drawn LiDAR"
+        if _is_drawn(place)
+        else f"LiDAR of {place.fetch.folder.lidar}"
         for place in places
         if place.region.lidar_tiles
     ]
@@ -103,12 +109,18 @@ def titles(config: Config) -> dict[str, str]:
     }
 
 
+def _is_drawn(place: Config) -> bool:
+    """Whether the LiDAR is that of the miniature, the default."""
+    return place.fetch.source == "folder" and place.fetch.folder.lidar == Folder().lidar
+
+
 def attribution(config: Config) -> list[str]:
-    """The lines that name the sources: of IGN's services, and those of the config."""
+    """The lines that name the sources: of IGN's services, drawn ones, and those of the config."""
     places = [place_config(config, place) for place in member_places(config)]
     lines = [
         _IGN.format(vintage=place.region.vintage) for place in places if place.fetch.source == "geoplateforme"
     ]
+    lines += [_DRAWN for place in places if _is_drawn(place)]
     return [*dict.fromkeys(lines), *config.eval.attribution]
 
 
@@ -154,7 +166,7 @@ def read(
             "measures": {name: value for name, value in facts.items() if name != "methods"},
             **methods,
         },
-        scans={_place_and_tile(path): figures.png_uri(_scan_picture(path)) for path in scans},
+        scans={_place_and_tile(path): figures.image_uri(_scan_picture(path), "png") for path in scans},
         # trained here, not read from elsewhere, and on clouds that were not chosen for one purpose or the other
         dvae_saw_real=bool(training)
         and uses_lidar
@@ -256,11 +268,12 @@ def _comparisons(more: pd.DataFrame, titles: Mapping[str, str]) -> dict[str, pd.
         table = pd.DataFrame({"Method": [str(name).removeprefix(f"{title} / ") for name in of_dataset]})
         for measure in of_dataset.loc[[*COMPARED]].dropna(how="all").index:
             values = of_dataset.loc[measure].to_numpy()
-            texts = [_cell(value) for value in values]
+            cell = partial(_cell, digits=3 if measure in LEAST else 1)
+            texts = [cell(value) for value in values]
             if measure in LEAST:
-                best = _cell(pd.Series(values, dtype=float).min())
+                best = cell(pd.Series(values, dtype=float).min())
                 bounds = (
-                    of_dataset.loc[[f"{measure}, 95 % low", f"{measure}, 95 % high"]].map(_cell).to_numpy()
+                    of_dataset.loc[[f"{measure}, 95 % low", f"{measure}, 95 % high"]].map(cell).to_numpy()
                 )
                 ranges = [f"{text} ({low} to {high})" for text, low, high in zip(texts, *bounds, strict=True)]
                 texts = [
@@ -280,7 +293,7 @@ def _off(worst: pd.DataFrame, limit_m: float) -> pd.DataFrame:
 def _distances(group: pd.DataFrame) -> pd.DataFrame:
     """The median distances of points to mesh of one property: a row per group, a column per method that sees points."""
     wide = group.pivot_table("Median Points to mesh (m)", "Group", "Method", sort=False, observed=True)
-    return wide.drop(columns="Constant", errors="ignore").reset_index()
+    return wide.drop(columns="Constant", errors="ignore").map(partial(_cell, digits=3)).reset_index()
 
 
 def _cell(value: Any, digits: int = 2, unknown: str = "–") -> str:
@@ -289,7 +302,10 @@ def _cell(value: Any, digits: int = 2, unknown: str = "–") -> str:
     return f"{value:.{digits}f}" if isinstance(value, float) else str(value)
 
 
-def _distributions(frame: pd.DataFrame, names: Mapping[str, str], titles: Mapping[str, str]) -> list[str]:
+def _distributions(
+    frame: pd.DataFrame, names: Mapping[str, str], titles: Mapping[str, str]
+) -> list[tuple[str, str]]:
+    """(image, caption) of each data set and distance."""
     images = []
     for dataset, title in titles.items():
         for column in ("points_to_mesh_m", "chamfer_m"):
@@ -298,8 +314,9 @@ def _distributions(frame: pd.DataFrame, names: Mapping[str, str], titles: Mappin
                 str(name): part.to_numpy() for name, part in rows.groupby("method", observed=True)[column]
             }
             if values:
-                image = figures.cumulative(values, names, tables.MEANS[column], title)
-                images.append(figures.data_uri(image))
+                name = tables.MEANS[column]
+                image = figures.cumulative(values, names, name, title)
+                images.append((figures.data_uri(image), f"{title}: share of the buildings by {name}"))
     return images
 
 
@@ -335,7 +352,7 @@ def _words(name: str) -> str:
 
 
 def _training(stages: Mapping[str, Sequence[dict[str, Any]]]) -> list[tuple[str, str]]:
-    """(stage, image) with the curves of losses, of errors in metres and of errors in degrees."""
+    """(image, caption) with the curves of losses, of errors in metres and of errors in degrees."""
     images = []
     for stage, records in stages.items():
         frame = pd.DataFrame(records).astype(float)
@@ -345,6 +362,6 @@ def _training(stages: Mapping[str, Sequence[dict[str, Any]]]) -> list[tuple[str,
                 _words(str(name)): values.dropna() for name, values in chosen.items() if values.notna().any()
             }
             if curves:
-                figure = figures.curves(curves, "step", f"{stage}: {title}")
-                images.append((stage, figures.data_uri(figure)))
+                figure = figures.curves(curves, "step", title)
+                images.append((figures.data_uri(figure), f"Training curves of {stage}: {title}"))
     return images

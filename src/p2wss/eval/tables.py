@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 from scipy import stats
 
 from p2wss.config import Eval
+from p2wss.data import reasons
 from p2wss.data.seeds import generator
 from p2wss.eval.methods import MASKED
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
@@ -157,11 +158,17 @@ def compared(frame: pd.DataFrame) -> pd.Series:
     return has_mesh & pd.MultiIndex.from_frame(frame[list(keys.names)]).isin(keys)
 
 
+def was_not_run(frame: pd.DataFrame) -> pd.Series:
+    """Which rows are of buildings for which a method has no recorded output: it did not fail."""
+    return frame["status"].isin([reasons.NOT_RECORDED, reasons.OTHER_CLOUDS])
+
+
 def _title(run: Run, rows: pd.DataFrame) -> str:
     """The method; with the reason if it has none of the meshes of a data set, all for the same one."""
-    reasons = rows["status"].unique()
-    is_empty = len(reasons) == 1 and rows["num_triangles"].isna().all()
-    return f"{METHOD_NAMES[run.method]} ({reasons[0]})" if is_empty else run.name
+    states = rows["status"].unique()
+    if len(states) != 1 or rows["num_triangles"].notna().any():
+        return run.name
+    return f"{METHOD_NAMES[run.method]} ({'not run: ' if was_not_run(rows).all() else ''}{states[0]})"
 
 
 def table_2(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
@@ -200,7 +207,8 @@ def table_2_more(
             bounds = interval(values, draw, config.num_resamples)
             column[f"{title}, 95 % low"], column[f"{title}, 95 % high"] = bounds
         column |= {title: 100 * shared[name].mean() for name, title in SHARES.items()}
-        column |= {"Buildings": len(part), "Without a mesh": int(part["num_triangles"].isna().sum())}
+        was_run = part[~was_not_run(part)]
+        column |= {"Buildings": len(was_run), "Without a mesh": int(was_run["num_triangles"].isna().sum())}
         column["Compared"] = len(shared)
         columns[f"{titles[dataset]} / {_title(by_method[method], part)}"] = pd.Series(column, dtype=object)
     # as objects: a count stays a whole number beside means
@@ -220,14 +228,16 @@ def interval(values: np.ndarray, draw: np.random.Generator, num_resamples: int) 
 
 
 def without_mesh(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
-    """How many buildings have no mesh of a method, or a flat roof instead, by reason."""
+    """How many buildings have no mesh of a method, or a flat roof instead, or for which it was not run, by reason."""
     missing = frame["num_triangles"].isna()
     rows = frame[missing | (frame["status"] != "ok")]
     named = pd.DataFrame(
         {
             "Data set": rows["dataset"].map(titles),
             "Method": rows["method"].map({run.method: run.name for run in runs}),
-            "Instead": np.where(missing[rows.index], "no mesh", "flat roof"),
+            "Instead": np.where(
+                was_not_run(rows), "not run", np.where(missing[rows.index], "no mesh", "flat roof")
+            ),
             "Reason": rows["status"],
         }
     )

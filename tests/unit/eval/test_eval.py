@@ -414,7 +414,13 @@ def test_report_from_files_is_one_self_contained_page(
     assert not re.search(r"<script[^>]* src|<link|@import|url\(", page)
     assert 'id="viewer-data"' in page
     sources = re.findall(r'src="([^"]{0,30})', page)
-    assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
+    assert [source.split(";")[0] for source in sources].count("data:image/png") == 1  # the scan
+    assert len(sources) > 2 and {*(source.split(";")[0] for source in sources)} == {
+        "data:image/png",
+        "data:image/svg+xml",
+    }
+    numbers = [int(number) for number in re.findall(r"<figcaption>Figure (\d+)", page)]
+    assert numbers == list(range(1, len(sources) + 1))
     assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
     assert "not run: cannot start" in page
     assert page.count("Simulated scan of tile 0652_6862") == 1
@@ -448,6 +454,36 @@ def test_log_axes_have_plain_numbers() -> None:
     assert "10" in labels and not any("$" in label for label in labels)
 
 
+def test_a_bad_method_squeezes_no_other_in_the_figure() -> None:
+    good = {name: np.linspace(0, 0.1, 50) for name in ("fit", "roofer")}
+    figure = figures.cumulative(
+        {**good, "constant": np.linspace(0, 9, 50)}, {**tables.METHOD_NAMES}, "x", "t"
+    )
+    assert figure.axes[0].get_xlim()[1] == pytest.approx(0.095)
+    uri = figures.data_uri(figure)
+    again = figures.cumulative({**good, "constant": np.linspace(0, 9, 50)}, {**tables.METHOD_NAMES}, "x", "t")
+    assert uri == figures.data_uri(again)
+
+
+def test_buildings_without_a_record_are_not_failures() -> None:
+    frame = pd.DataFrame(
+        {
+            "dataset": "real",
+            "method": "roofer",
+            "status": ["not-recorded", "recorded-of-other-clouds", "no-roofer-mesh", "ok"],
+            "num_triangles": [np.nan, np.nan, np.nan, 20.0],
+        }
+    )
+    runs = [tables.Run("roofer", "recorded")]
+    rows = tables.without_mesh(frame, runs, {"real": "Real"})
+    assert dict(zip(rows["Reason"], rows["Instead"], strict=True)) == {
+        "not-recorded": "not run",
+        "recorded-of-other-clouds": "not run",
+        "no-roofer-mesh": "no mesh",
+    }
+    assert tables._title(runs[0], frame[:1]) == "Roofer (not run: not-recorded)"
+
+
 HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b>"
 
 
@@ -466,17 +502,19 @@ def test_latex_is_balanced_and_escaped() -> None:
 
 def test_real_clouds_and_sources_have_names() -> None:
     named = {
-        "LiDAR of tests/mini/lidar": {},
+        "Drawn LiDAR": {},
         "LiDAR HD": {"fetch": {"source": "geoplateforme"}},
         "LiDAR of my/ahn3.laz": {"fetch": {"folder": {"lidar": "my/ahn3.laz"}}},
         "AHN3": {"fetch": {"source": "geoplateforme"}, "eval": {"lidar_name": "AHN3"}},
     }
     for title, config in named.items():
         assert report.titles(load(config))["real"] == title
-    assert report.attribution(load({"eval": {"attribution": ["mine"]}})) == ["mine"]
+    drawn, mine = report.attribution(load({"eval": {"attribution": ["mine"]}}))
+    assert "Drawn by p2wss towns" in drawn and mine == "mine"
     member = {"name": "city", "region": {"vintage": "2026"}, "fetch": {"source": "geoplateforme"}}
     config = load({"dataset": {"members": [member, {"name": "mini"}]}})
-    (line,) = report.attribution(config)
+    line, drawn = report.attribution(config)
+    assert "Drawn" in drawn
     assert "IGN" in line and "(2026)" in line and "Licence Ouverte" in line
 
 
@@ -498,4 +536,4 @@ def test_the_comparison_leaves_out_methods_and_measures_without_a_value_and_mark
     (table,) = report._comparisons(more, {"simulated": "Simulated", "real": "Real"}).values()
     assert list(table["Method"]) == ["A", "B"]
     assert list(table) == ["Method", *(name for name in report.COMPARED if "roof edges" not in name)]
-    assert list(table["CD (m)"]) == ["*1.00 (1.00 to 1.00)*", "2.00 (2.00 to 2.00)"]
+    assert list(table["CD (m)"]) == ["*1.000 (1.000 to 1.000)*", "2.000 (2.000 to 2.000)"]
