@@ -42,6 +42,7 @@ onsuccess:
 
 onerror:
     cancel_timers()
+    print_causes(log)
 
 
 # without a target: every stage (the default target must stand in this file)

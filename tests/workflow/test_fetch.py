@@ -1,5 +1,7 @@
 """Fetch and prepare in the workflow: what is rerun when, and from what."""
 
+import re
+
 import laspy
 import numpy as np
 import yaml
@@ -33,6 +35,8 @@ def test_an_unclassified_cloud_without_pdal_stops_with_one_line(project):
     )
     run = project.snakemake("-c1", "results/mini/fetch/lidar/0653_6861.laz", *settings, check=False)
     assert run.returncode != 0
-    (line,) = [text for text in run.stderr.splitlines() if "p2wss: error:" in text]
+    line, again = [text for text in run.stderr.splitlines() if "p2wss: error:" in text]
     assert "no ground points (class 2)" in line and "envs/pdal.yaml" in line
+    # once more after the command with its settings
+    assert re.fullmatch(r"logs/\S+\.log: (.*)", again)[1] == line and again in run.stderr.splitlines()[-8:]
     assert not (project.folder / "results/mini/fetch/lidar/0653_6861.laz").exists()

@@ -1,8 +1,11 @@
 """What all rules share: the validated config, its sections as parameters, paths that the config decides."""
 
 import os
+import re
+import sys
 import threading
 from functools import cache
+from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
@@ -36,6 +39,14 @@ def cancel_timers():
     for thread in threading.enumerate():
         if isinstance(thread, threading.Timer):
             thread.cancel()
+
+
+def print_causes(logs_of_run):
+    """At the end of a run that failed, the last line of each failed job's log: among the commands it is hard to find."""
+    text = "".join(Path(path).read_text() for path in logs_of_run)
+    for name in dict.fromkeys(re.findall(r"^ +log: (\S+) \(check log", text, re.MULTILINE)):
+        lines = Path(name).read_text().split("\n") if Path(name).is_file() else []
+        print(f"{name}: {next(filter(None, reversed(lines)), 'empty')}", file=sys.stderr)
 
 
 @cache
