@@ -15,9 +15,9 @@ import shapely
 # what was done with a block: the words in the table, the colour on the map, the line in the legend
 MOVED, STAYED, UNKNOWN = "moved", "not moved", "no evidence"
 LEGEND = {
-    MOVED: ("#c0392b", "moved: the points show where the edges are"),
+    MOVED: ("#c0392b", "moved: the points show where the edges are, here or at all blocks around"),
     STAYED: ("#2e7d32", "not moved: the points confirm the position, or do not clearly show another"),
-    UNKNOWN: ("#8a949b", "not moved: the points show no edges"),
+    UNKNOWN: ("#8a949b", "not moved: the points show no edges, here or around"),
 }
 # factors by which arrows are drawn longer: the largest with which the longest arrow has at most this share of the map
 _FACTORS, _LONGEST_SHARE = (1, 2, 5, 10, 20, 50, 100), 0.08

@@ -20,6 +20,8 @@ from p2wss.skeleton.types import Polygons
 MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
 # points within this distance beyond an edge, and so many of those beside it, show that the data do not end there
 DATA_M, _MIN_BEYOND_SHARE = 4.0, 0.2
+# of an estimate, edges that are left out one by one
+_MOST_LEFT_OUT = 64
 # sums of weights that differ by less are equal: they are sums of halves
 _ROUNDING = 1e-9
 
@@ -63,7 +65,8 @@ class StepRules:
 class Expected:
     """What is expected before the steps are used, and how far they are trusted.
 
-    shift_sd_m, overhang_m, overhang_sd_m: roofs overhang walls by some decimetres.
+    shift_sd_m, overhang_m, overhang_sd_m: roofs overhang walls by some decimetres. block_sd_m: the error that all steps
+    of a block share, since maps are inaccurate and roofs overhang one side more than the other.
     half_weight_m: a step with this residual has half its weight (Cauchy); the weights settle in ``num_rounds``.
     rest_of_prior: what remains of the prior of the shift, 1/m2, in the information of the edges alone, as a direction
     that no edge determines must not make the matrix singular.
@@ -72,6 +75,7 @@ class Expected:
     shift_sd_m: float = 1.0
     overhang_m: float = 0.1
     overhang_sd_m: float = 0.3
+    block_sd_m: float = 0.1
     half_weight_m: float = 0.25
     num_rounds: int = 8
     rest_of_prior: float = 1e-6
@@ -84,15 +88,18 @@ SEARCH, STEP, EXPECTED = Search(), StepRules(), Expected()
 class Estimate:
     """The shift of a block as its own edges show it.
 
-    shift_m: (2,). information: (2, 2), the inverse covariance of the shift from the edges alone, after the
-    overhang; zero without any. overhang_m: how far the
-    roof reaches beyond the edges. num_steps: edges with a step.
+    shift_m: (2,). sd_m: its standard deviation in the less certain direction, if any one of the edges misleads;
+    infinite without any. overhang_m: how far the roof reaches beyond the edges.
     """
 
     shift_m: np.ndarray
-    information: np.ndarray
+    sd_m: float
     overhang_m: float
-    num_steps: int
+
+
+def no_estimate() -> Estimate:
+    """That of a block whose edges show nothing."""
+    return Estimate(np.zeros(2), float("inf"), float("nan"))
 
 
 def point_weights(classification: np.ndarray) -> np.ndarray:
@@ -221,20 +228,39 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Es
     """
     rows = np.flatnonzero(np.isfinite(step_m))
     if not len(rows):
-        return Estimate(start_m, np.zeros((2, 2)), 0.0, 0)
+        return no_estimate()
     along = edge[rows, 2:] - edge[rows, :2]
     normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
     design = np.column_stack([normal, np.ones(len(rows))])
+    (value,), (covariance,) = _solved(design, step_m[rows], np.ones((1, len(rows))))
+    # those that the others can replace least
+    least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[:_MOST_LEFT_OUT]
+    is_used = np.ones((len(least), len(rows)))
+    is_used[np.arange(len(least)), least] = 0.0
+    values, covariances = _solved(design, step_m[rows], is_used)
+    change_m = (values - value)[:, :2]
+    worst = covariances[:, :2, :2] + change_m[:, :, None] * change_m[:, None, :]
+    variance_m2 = np.linalg.eigvalsh(worst)[:, -1].max() + EXPECTED.block_sd_m**2
+    # roofs do not end inside walls: decks along two sides look like a shift by half their width
+    variance_m2 += min(value[2], 0.0) ** 2
+    return Estimate(start_m + value[:2], float(np.sqrt(variance_m2)), float(value[2]))
+
+
+def _solved(design: np.ndarray, step_m: np.ndarray, is_used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(shift and overhang (m, 3), their covariance without the prior of the shift (m, 3, 3)) for m choices of n edges.
+
+    design: (n, 3). step_m: (n,). is_used: 1 or 0, (m, n).
+    """
     of_shift = 1 / EXPECTED.shift_sd_m**2
     prior = np.diag([of_shift, of_shift, 1 / EXPECTED.overhang_sd_m**2])
     expected = np.array([0.0, 0.0, EXPECTED.overhang_m])
-    robust = np.ones(len(rows))
+    squares = (design[:, :, None] * design[:, None, :]).reshape(-1, 9)
+    robust = np.ones(is_used.shape)
     for _ in range(EXPECTED.num_rounds):
-        weight = robust / STEP.sd_m**2
-        normal_matrix = design.T @ (design * weight[:, None]) + prior
-        value = np.linalg.solve(normal_matrix, design.T @ (weight * step_m[rows]) + prior @ expected)
-        robust = 1 / (1 + ((step_m[rows] - design @ value) / EXPECTED.half_weight_m) ** 2)
+        weight = is_used * robust / STEP.sd_m**2
+        normal_matrix = (weight @ squares).reshape(-1, 3, 3) + prior
+        right = (weight * step_m) @ design + prior @ expected
+        value = np.linalg.solve(normal_matrix, right[:, :, None])[:, :, 0]
+        robust = 1 / (1 + ((step_m - value @ design.T) / EXPECTED.half_weight_m) ** 2)
     without_prior = of_shift - EXPECTED.rest_of_prior
-    covariance = np.linalg.inv(normal_matrix - np.diag([without_prior, without_prior, 0.0]))
-    information = np.linalg.inv(covariance[:2, :2])
-    return Estimate(start_m + value[:2], information, float(value[2]), len(rows))
+    return value, np.linalg.inv(normal_matrix - np.diag([without_prior, without_prior, 0.0]))

@@ -20,6 +20,7 @@ from p2wss.reconstruct.area import Area, run_area
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.pipeline import Rows
+from p2wss.reconstruct.registration import AROUND, EDGES
 from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.spool import Spool
 from p2wss.storage.features import Features
@@ -30,6 +31,8 @@ SHIFT_M = (1.1, -0.8)
 # the producer classified buildings west of it
 EAST_M = 664_700.0
 NUM_HOUSES, NUM_IN_ROW = 24, 6
+# the house around which the data end: its own edges show nothing
+ALONE = 16
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +54,9 @@ def town() -> tuple[Features, Cloud]:
         low_x, low_y, high_x, high_y = shape.buffer(15).bounds
         x, y = draw.uniform((low_x, low_y), (high_x, high_y), (6000, 2)).T
         on_roof = shapely.contains_xy(all_roofs, x, y)
+        if k == ALONE:
+            is_near = ~on_roof & shapely.dwithin(shape, shapely.points(x, y), 8.0)
+            x, y, on_roof = x[~is_near], y[~is_near], on_roof[~is_near]
         z = 560 + np.where(on_roof, 5 + 0.1 * (k % 5), 0.0) + 0.02 * draw.standard_normal(len(x))
         classes = np.where(on_roof, np.where(x < EAST_M, 6, 1), 2)
         parts.append(np.column_stack([x, y, z, classes]))
@@ -147,6 +153,9 @@ def test_footprints_move_only_where_the_producer_shows_buildings(
         assert (result.registration is None) == is_eastern
         if result.registration is not None:
             assert np.hypot(*np.add(result.registration.shift_m, SHIFT_M)) < 0.3
+    # where its own edges show nothing, a house moves as those around it
+    sources = [result.registration and result.registration.source for result in results.values()]
+    assert sources[ALONE] == AROUND and sources.count(EDGES) == NUM_HOUSES // 2 + 5
     # points that are nobody's buildings are taken for roofs
     assert [result.status for result in results.values()] == ["ok"] * NUM_HOUSES + ["flat"]
     forced, _ = results_of(town, tmp_path, registers=True)

@@ -1,0 +1,86 @@
+"""How many true roofs are found exactly with few points per square metre; the last line is JSON.
+
+    python benchmarks/density.py --data ../shared/data --judge ../shared/tools/structure.py
+
+Needs ``trondheim``, ``nyc_roofn3d`` and the judge, which are not part of the project; a place that is absent is left
+out.
+
+The true roofs are wireframes that persons labelled, and the outlines are traced from the points. So many points per
+square metre of each outline are drawn from the seeds, and as large a share of those beside it; the judge compares the
+edges of the roofs with the true ones. Exact are roofs with less than 2 % of edges that are false, or missing, by more
+than 0.5 m.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import few_points
+import numpy as np
+import pyproj
+import real
+from figures import Figures
+
+from p2wss.config import Config
+from p2wss.data.building import Building
+from p2wss.reconstruct.city import city_json
+from p2wss.reconstruct.product import reconstruct_buildings
+from p2wss.reconstruct.result import Result
+
+EPSG = {"trondheim": 25832, "nyc_roofn3d": 32118}
+# more than there are
+ALL_PER_M2 = 1000.0
+# points per square metre: the share of exact roofs in Trondheim
+BARS = {3.0: 0.9, 1.0: 0.85, 0.5: 0.65}
+FIGURES = r"false edges ([\d.]+), missing ([\d.]+), exact (\d+) of (\d+), corners F1 ([\d.]+)"
+
+
+def judged(buildings: list[Building], place: Path, judge: Path) -> dict[str, float]:
+    """What the judge says of the roofs of some buildings of a place."""
+    rows = reconstruct_buildings(buildings, None, Config().reconstruct)
+    results = [Result(row, "ok", None, 0, np.nan, np.nan, False) for row in rows]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "roofs.city.jsonl"
+        path.write_text("".join(city_json(results, pyproj.CRS(EPSG[place.name]))), encoding="utf-8")
+        command = [sys.executable, judge, path, place / "wireframes.json"]
+        line = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    found = re.fullmatch(FIGURES, line.strip())
+    assert found, line
+    false, missing, num_exact, num_roofs, corners = map(float, found.groups())
+    return {"exact": num_exact / num_roofs, "false": false, "missing": missing, "corners": corners}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--judge", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    arguments = parser.parse_args()
+    figures = Figures()
+    print("place".ljust(14) + "per m²  exact, false, missing, corners F1")
+    for name in EPSG:
+        place = arguments.data / name
+        if not place.exists():
+            continue
+        buildings = real.read_files(place / "footprints.gpkg", [place / "cloud.laz"], name, Config())
+        for per_m2 in (ALL_PER_M2, *BARS):
+            draws = []
+            for seed in arguments.seeds if per_m2 in BARS else [0]:
+                few = [few_points.thinned(each, per_m2, seed, True) for each in buildings]
+                draws.append(judged(few_points.with_roofs_around(few), place, arguments.judge))
+            mean = {key: float(np.mean([draw[key] for draw in draws])) for key in draws[0]}
+            amount = f"{per_m2:g}" if per_m2 in BARS else "all"
+            print(name.ljust(14) + amount.ljust(8) + ", ".join(f"{value:.3f}" for value in mean.values()))
+            figures.row(f"{name}, {amount} per m²", mean)
+            if name == "trondheim" and per_m2 in BARS:
+                figures.at_least(f"{name}, {amount} per m², exact", mean["exact"], BARS[per_m2])
+    return figures.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
