@@ -146,7 +146,8 @@ def _sloped_type(
     is_main = area_m2 > _SMALL_SHARE * area_m2.sum()
     main, down = roof_faces[is_main], normal_m2[is_main, :2]
     among = np.isin(meetings.face, main).all(axis=1)
-    if not np.isin(main, mesh.face[is_sloped]).all() or not meetings.is_convex[among].all():
+    # a roof of many has none with a large share of it
+    if not len(main) or not np.isin(main, mesh.face[is_sloped]).all() or not meetings.is_convex[among].all():
         return SLOPES
     if len(main) == 1:
         return SHED

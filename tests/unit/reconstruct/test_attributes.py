@@ -106,6 +106,13 @@ def test_roofs_have_the_names_of_the_field(ring: np.ndarray, angle_deg: list[flo
     assert measure("turned", turned, angle_deg).roof_type == name
 
 
+def test_a_roof_of_many_planes_has_several_slopes() -> None:
+    house = building("a", BOX, [40, 90, 40, 90]).mesh
+    assert house is not None
+    hall = Mesh.joined([house.translated([50.0 * number, 0, 0]) for number in range(60)])
+    assert measures.measure(hall).roof_type == measures.SLOPES
+
+
 def test_open_ground_is_no_roof() -> None:
     row = yard_house()
     measured = measures.measure(row.placed_mesh)
