@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,41 +35,52 @@ SETUP = """([shown, paint]) => {
 class Picture(NamedTuple):
     """page: of a run. shown: checkboxes. paint: colours of the meshes. zoom: how often the key + is pressed."""
 
-    page: str
+    page: Path
     shown: tuple[str, ...]
     paint: str = "kind"
     zoom: int = 2
 
 
+_DEMO, _WINGS, _OLD = (
+    Path(name) for name in ("p2wss-demo/out/lidar.html", "wings-out/wings.html", "old-out/old.html")
+)
 GALLERY = {
-    "demo_points": Picture("p2wss-demo/out/lidar.html", ("points",), zoom=0),
-    "demo": Picture("p2wss-demo/out/lidar.html", ("p2wss",)),
-    "roof_types": Picture("p2wss-demo/out/lidar.html", ("p2wss", "ground"), "roof"),
-    "wings": Picture("wings-out/wings.html", ("p2wss", "ground"), zoom=4),
-    "heights": Picture("wings-out/wings.html", ("p2wss", "ground"), "height"),
-    "old": Picture("old-out/old.html", ("p2wss",)),
-    "old_residual": Picture("old-out/old.html", ("p2wss",), "residual"),
+    "demo_points": Picture(_DEMO, ("points",), zoom=0),
+    "demo": Picture(_DEMO, ("p2wss",)),
+    "roof_types": Picture(_DEMO, ("p2wss", "ground"), "roof"),
+    "wings": Picture(_WINGS, ("p2wss", "ground"), zoom=4),
+    "heights": Picture(_WINGS, ("p2wss", "ground"), "height"),
+    "old": Picture(_OLD, ("p2wss",)),
+    "old_residual": Picture(_OLD, ("p2wss",), "residual"),
 }
 
 
-def main(runs: Path, out: Path, executable: str | None) -> None:
-    """Draw each picture."""
+def drawn(
+    pictures: Iterable[Picture], size: tuple[int, int], executable: str | None
+) -> Iterator[Image.Image]:
+    """Each picture, in the size of the window."""
     with sync_playwright() as playwright:
         options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
         browser = playwright.chromium.launch(executable_path=executable, args=options)
-        for name, picture in GALLERY.items():
-            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
-            page.goto((runs / picture.page).resolve().as_uri())
+        for picture in pictures:
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            page.goto(picture.page.resolve().as_uri())
             page.evaluate(SETUP, [picture.shown, picture.paint])
             page.wait_for_timeout(500)
             page.keyboard.press("Home")  # the whole of the town in the new size of the picture
             for _ in range(picture.zoom):
                 page.keyboard.press("+")
             page.wait_for_timeout(1000)
-            drawn = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-            drawn.quantize(96, dither=Image.Dither.NONE).save(out / f"gallery_{name}.png", optimize=True)
+            yield Image.open(io.BytesIO(page.screenshot())).convert("RGB")
             page.close()
         browser.close()
+
+
+def main(runs: Path, out: Path, executable: str | None) -> None:
+    """Draw each picture."""
+    pictures = [each._replace(page=runs / each.page) for each in GALLERY.values()]
+    for name, image in zip(GALLERY, drawn(pictures, SIZE, executable), strict=True):
+        image.quantize(96, dither=Image.Dither.NONE).save(out / f"gallery_{name}.png", optimize=True)
 
 
 if __name__ == "__main__":
