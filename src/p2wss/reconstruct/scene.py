@@ -10,7 +10,6 @@ import html
 import logging
 import sys
 import tempfile
-import webbrowser
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -282,6 +281,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
             ipython.display.display(self)
             return None
+        # four milliseconds of each start
+        import webbrowser
+
         path = Path(tempfile.mkdtemp(prefix="p2wss-")) / "scene.html"
         files.write_text(path, self.to_html())
         webbrowser.open(path.as_uri())
