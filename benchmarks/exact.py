@@ -265,6 +265,7 @@ def measure(name: str, footprints: Path, folders: dict[str, Path], figures: Figu
                 f"wedges {key}": value for key, value in wrong_wedges(edges[variant], table, origin_m).items()
             }
             figures.at_most(f"{title}, new folds", row["new folds"], 0)
+            figures.at_most(f"{title}, folds per building", row["folds"] / (building.max() + 1), 0.35)
             figures.at_most(f"{title}, triangles", row["triangles per triangle of the parts"], 1.05)
             figures.at_most(
                 f"{title}, wrong wedges", sum(row[f"wedges {k}"] for k in ("missing", "extra", "off")), 0

@@ -15,6 +15,7 @@ from kernel_unions import union
 from skin_solids import Solid, assert_closed, gable, solid, united, volume
 
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
 from p2wss.reconstruct.skin import Skin, skins
 from p2wss.reconstruct.skin.common_roofs import MAX_STEP_M
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
@@ -162,8 +163,8 @@ def test_walls_between_roofs_meet_if_they_are_a_little_apart() -> None:
 
 
 def test_some_steps_stay_where_vertices_would_move_too_far() -> None:
-    row = [solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.09 * k) for k in range(5)]
-    (skin,) = skins(dict(row))
+    steps = [solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.09 * k) for k in range(5)]
+    (skin,) = skins(dict(steps))
     assert_closed(skin)
     roof_m = skin.mesh.vertex_m[np.unique(skin.mesh.triangle[skin.mesh.kind == FaceKind.FLAT])]
     levels_m = np.unique(roof_m[:, 2].round(3))
@@ -193,11 +194,58 @@ def test_a_garage_within_a_wall() -> None:
 
 
 def test_walls_shift_to_the_corner_beside_them() -> None:
-    """A house stands 2 cm behind the front of its neighbour: both have one front."""
+    """A house stands 2 cm behind the front of its neighbour: both have one front, between its corners."""
     solids = [solid("a", shapely.box(0, 0, 6, 8), 4), solid("b", shapely.box(6, 0.02, 12, 9), 6)]
     (skin,) = exact(solids, merged_m3=1.0)
     assert skin.mesh.edge_m.min() > 0.9
-    assert len(np.unique(skin.mesh.vertex_m[skin.mesh.vertex_m[:, 1] < 1, 1].round(6))) == 1
+    front_m = skin.mesh.vertex_m[skin.mesh.vertex_m[:, 1] < 1]
+    assert np.abs(front_m[:, 1] - front_m[:, 0] * 0.02 / 12).max() < 1e-6
+
+
+def row(turn_deg: float, rise_m: float = 0.02) -> dict[str, Mesh]:
+    """Five houses with gables at their party walls, whose eaves and slopes differ a little, on a line that turns by
+    ``turn_deg`` at each of them."""
+    line, bearing = [np.zeros(2)], 0.0
+    for _ in range(5):
+        line.append(line[-1] + 6 * np.array([np.cos(bearing), np.sin(bearing)]))
+        bearing += np.radians(turn_deg)
+    depth = np.array([0.0, 10.0])
+    return {
+        str(k): solid(
+            str(k),
+            shapely.Polygon([line[k], line[k + 1], line[k + 1] + depth, line[k] + depth]),
+            5 + rise_m * (k % 2),
+            [30 + 0.1 * (k % 3), 90, 30, 90],
+        ).mesh
+        for k in range(5)
+    }
+
+
+def test_roofs_and_fronts_of_a_row_are_one_plane_each() -> None:
+    solids = row(turn_deg=0.1)
+    (skin,) = skins(solids)
+    assert_closed(skin)
+    mesh = skin.mesh
+    is_roof = mesh.kind == FaceKind.ROOF
+    is_front = (mesh.kind == FaceKind.WALL) & (mesh.doubled_m2[:, 1] < -0.9 * 2 * mesh.area_m2)
+    for faces in (is_front, is_roof & (mesh.doubled_m2[:, 1] < 0), is_roof & (mesh.doubled_m2[:, 1] > 0)):
+        normal = mesh.doubled_m2[faces] / np.linalg.norm(mesh.doubled_m2[faces], axis=1)[:, None]
+        assert np.degrees(np.arccos(np.clip(normal @ normal.T, -1, 1))).max() < 0.05
+    # the corners at both ends of the front stay
+    plan_m = np.concatenate([each.vertex_m[:, :2] for each in (solids["0"], solids["4"])])
+    for corner in (plan_m[plan_m.sum(axis=1).argmin()], plan_m[(plan_m @ [1, -1]).argmax()]):
+        assert np.hypot(*(mesh.vertex_m[:, :2] - corner).T).min() < 1e-6
+
+
+def test_a_curved_row_and_different_roofs_keep_their_planes() -> None:
+    (skin,) = skins(row(turn_deg=2.0, rise_m=0.5))
+    assert_closed(skin)
+    mesh = skin.mesh
+    front = mesh.doubled_m2[(mesh.kind == FaceKind.WALL) & (mesh.doubled_m2[:, 1] < 0)]
+    bearings = np.unique(np.degrees(np.arctan2(front[:, 0], -front[:, 1])).round(1))
+    assert len(bearings[np.abs(bearings) < 45]) == 5
+    eaves = np.unique(mesh.vertex_m[mesh.vertex_m[:, 2] > 4, 2].round(2))
+    assert len(eaves) >= 4
 
 
 def test_buildings_that_touch_in_a_corner_stay_apart() -> None:

@@ -1,9 +1,11 @@
-"""Roofs of neighbours that differ by centimetres at their common wall, moved as planes until they meet there."""
+"""Roofs and fronts of neighbours that differ by centimetres at their common wall: where they are one plane but for
+noise, they become one, and others move as planes until they meet there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -18,43 +20,55 @@ from p2wss.skeleton.types import FaceKind
 MAX_STEP_M = 0.1
 # planes do not meet if they are further than this from their point
 _APART_M = 1e-4
+# planes of neighbours are one if they are turned by less, and no vertex of theirs is further from one through all
+_ONE_COSINE, _ONE_M = np.cos(np.radians(3.0)), 0.05
 
 
 @dataclass(frozen=True)
 class _Step:
-    """What is a little apart at a common wall: a vertex, and the vertex or else the plane of a neighbour that it is
-    nearest to. gap_m: between them. other, plane: -1 for none. buildings: of both."""
+    """What is a little apart at a common wall: vertices or planes of two neighbours that become one, or a vertex and
+    the plane that then goes through it.
+
+    gap_m: between them. vertices, planes: of the mesh of all. buildings: of both.
+    """
 
     gap_m: float
-    vertex: int
-    other: int
-    plane: int
+    vertices: tuple[int, ...]
+    planes: tuple[int, ...]
     buildings: tuple[int, int]
 
 
 def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) -> list[Mesh]:
     """Solids that touch, without those steps of less than ``max_step_m`` between their roofs, and between their inner
-    walls, that vanish if planes move so that they meet at the common wall.
+    walls, that vanish if planes move so that they meet at the common wall. Roofs, and walls, of neighbours that are one
+    plane but for centimetres are one afterwards.
 
-    Only planes move: roofs stay planar, walls upright, outer walls and floors where they are. Steps stay, the highest
-    first, where a vertex would move further than ``max_step_m`` or a triangle turn over.
+    Only planes move: roofs stay planar, walls upright, and outer walls and floors where they are unless two walls
+    become one. Steps stay, the highest first, where a vertex would move further than ``max_step_m`` or a triangle turn
+    over.
     """
     mesh = Mesh.joined(solids)
     building = np.repeat(np.arange(len(solids)), [len(solid.vertex_m) for solid in solids])
     steps = _steps(mesh, solids, building, max_step_m)
+    vertex_at, plane_at = mesh.at
     moved, is_wrong = mesh, bool(steps)
     while is_wrong:
-        linked = np.array([(step.vertex, step.other) for step in steps if step.other >= 0], int).reshape(
-            -1, 2
-        )
-        through = [(step.vertex, step.plane) for step in steps if step.plane >= 0]
-        moved, apart_m = with_meeting_planes(mesh, groups(len(building), linked), through)
+        linked = [step.vertices for step in steps if len(step.vertices) == 2]
+        one_plane = groups(len(mesh.planes.kind), _pairs([s.planes for s in steps if len(s.planes) == 2]))
+        through = [
+            (s.vertices[0], int(one_plane[s.planes[0]])) for s in steps if len(s.vertices) == len(s.planes)
+        ]
+        whole = replace(mesh, label=one_plane[mesh.number])
+        moved, apart_m = with_meeting_planes(whole, groups(len(building), _pairs(linked)), through)
         is_bad = np.linalg.norm(moved.vertex_m - mesh.vertex_m, axis=1) > max_step_m
         is_bad |= apart_m > _APART_M
         is_bad[mesh.triangle[turned_over(moved, mesh)]] = True
+        is_bad_plane = np.zeros(len(one_plane), bool)
+        is_bad_plane[plane_at[is_bad[vertex_at]]] = True
         worst: dict[int, tuple[bool, float, int]] = {}
         for number, step in enumerate(steps):
-            rank = bool(is_bad[step.vertex] or (step.other >= 0 and is_bad[step.other])), step.gap_m, number
+            at_step = is_bad[[*step.vertices]] if step.vertices else is_bad_plane[[*step.planes]]
+            rank = bool(at_step.any()), step.gap_m, number
             for each in step.buildings:
                 worst[each] = max(worst.get(each, rank), rank)
         gone = {worst[each][2] for each in set(building[is_bad].tolist()) & worst.keys()}
@@ -69,7 +83,8 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
 
 
 def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m: float) -> list[_Step]:
-    """The steps of less than ``max_step_m`` between solids that touch. mesh: all of them. building: of its vertices."""
+    """The steps of less than ``max_step_m`` between solids that touch, and their planes that are one. mesh: all of
+    them. building: of its vertices."""
     planes = mesh.planes
     point, faces = faces_of(solids)
     # floors and the walls on them stay
@@ -81,18 +96,29 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
     is_free, may_move = on_moving.tolist(), moves.tolist()
     ends = np.column_stack([mesh.triangle.ravel(), mesh.triangle[:, NEXT].ravel()]).tolist()
     beyond = dict(zip(map(tuple, ends), np.repeat(mesh.number, 3).tolist(), strict=True))
-    found: dict[tuple[int, int, int], _Step] = {}
-    for pair in opposite_walls(point, faces).tolist():
+    pairs = opposite_walls(point, faces).tolist()
+    # of each wall, the half-edges of the faces beside it
+    across = {
+        wall: [(b, a) for ring in faces[wall].rings for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
+        for pair in pairs
+        for wall in pair
+    }
+    party_walls = {beyond[edges[0][::-1]] for edges in across.values()}
+    beside = {
+        (beyond[one], beyond[other]): (faces[pair[0]].building, faces[pair[1]].building)
+        for pair in pairs
+        for one, other in product(*(across[wall] for wall in pair))
+        if not {beyond[one], beyond[other]} & party_walls
+    }
+    found = {(step.vertices, step.planes): step for step in _one_planes(mesh, beside)}
+    for pair in pairs:
         rings = [faces[wall].rings for wall in pair]
         corners = [[v for ring in each for v in ring if is_free[v]] for each in rings]
         if not all(corners):
             continue
         gap_m = np.linalg.norm(point[corners[0]][:, None] - point[corners[1]], axis=2)
         for mine, theirs, gaps_m in ((0, 1, gap_m), (1, 0, gap_m.T)):
-            edges = [
-                (b, a) for ring in rings[theirs] for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
-            ]
-            edge = np.array([each for each in edges if may_move[beyond[each]]], int).reshape(-1, 2)
+            edge = _pairs([each for each in across[pair[theirs]] if may_move[beyond[each]]])
             nearest = gaps_m.argmin(axis=1)
             for k, vertex in enumerate(corners[mine]):
                 other, plane, least_m = corners[theirs][nearest[k]], -1, gaps_m[k, nearest[k]]
@@ -106,6 +132,42 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
                         continue
                     other, plane = -1, beyond[tuple(edge[away_m.argmin()].tolist())]
                 buildings = int(building[vertex]), int(building[corners[theirs][0]])
-                key = (vertex, other, plane) if vertex < other or other < 0 else (other, vertex, plane)
-                found[key] = _Step(float(least_m), *key, buildings)
+                both = (vertex,) if other < 0 else tuple(sorted((vertex, other)))
+                step = _Step(float(least_m), both, (plane,) if other < 0 else (), buildings)
+                found[step.vertices, step.planes] = step
     return list(found.values())
+
+
+def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -> list[_Step]:
+    """The planes of neighbours that are one but for centimetres. beside: the buildings of pairs of planes at common
+    walls."""
+    planes, (vertex, plane) = mesh.planes, mesh.at
+    order = np.argsort(plane, kind="stable")
+    vertices = np.split(vertex[order], np.cumsum(np.bincount(plane))[:-1])
+
+    def off_plane_m(members: Sequence[int]) -> float:
+        point_m = mesh.vertex_m[np.concatenate([vertices[each] for each in members])]
+        away_m = (point_m - point_m.mean(axis=0))[:, : 2 if planes.kind[members[0]] == FaceKind.WALL else 3]
+        return float(np.abs(away_m @ np.linalg.svd(away_m, full_matrices=False)[2][-1]).max())
+
+    candidates = [
+        _Step(off_plane_m(pair), (), pair, buildings)
+        for pair, buildings in beside.items()
+        # steps between level roofs move these as a whole
+        if planes.kind[pair[0]] == planes.kind[pair[1]]
+        and planes.kind[pair[0]] in (FaceKind.ROOF, FaceKind.WALL)
+        if planes.normal[pair[0]] @ planes.normal[pair[1]] > _ONE_COSINE
+    ]
+    # of a long row, only as many as all together are one
+    result, members = [], {number: [number] for number in range(len(vertices))}
+    for step in sorted(candidates, key=lambda step: (step.gap_m, step.planes)):
+        together = members[step.planes[0]] + members[step.planes[1]]
+        if members[step.planes[0]] is not members[step.planes[1]] and off_plane_m(together) < _ONE_M:
+            result.append(step)
+            members.update(dict.fromkeys(together, together))
+    return result
+
+
+def _pairs(pairs: Sequence[tuple[int, ...]]) -> np.ndarray:
+    """int (n, 2)."""
+    return np.array(pairs, int).reshape(-1, 2)
