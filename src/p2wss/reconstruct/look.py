@@ -95,7 +95,9 @@ def _footprints(inputs: Inputs, features: Features, layer: str) -> dict[str, Any
     facts: dict[str, Any] = {}
     if isinstance(inputs.footprints, Path):
         info = vector_files.layer_info(inputs.footprints, layer)
-        facts |= {"layer": info["layer"], "other layers": info["other_layers"], "features": info["features"]}
+        facts |= {"layer": info["layer"], "other layers": info["other_layers"]}
+        # some formats state no number
+        facts |= {"features": info["features"]} if info["features"] >= 0 else {}
         facts["crs"] = (
             None if info["crs"] is None else horizontal(pyproj.CRS.from_user_input(info["crs"])).name
         )

@@ -8,6 +8,7 @@ from typing import Any
 
 import control_houses as houses
 import numpy as np
+import pyogrio
 import pytest
 
 from p2wss import cli
@@ -53,6 +54,17 @@ def test_what_is_believed(
     assert {PLACE: "0.99960", "EPSG:3857": "1.25"}.get(crs, "") in scale and (crs == "EPSG:4326") == (
         not scale
     )
+
+
+def test_a_format_without_a_number_of_features_states_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", PLACE, PLACE)
+    houses.footprints(PLACE).to_file(tmp_path / "f.gml", driver="GML")
+    assert pyogrio.read_info(tmp_path / "f.gml")["features"] == -1
+    status, facts, _ = looked(capsys, cloud, tmp_path / "f.gml")
+    assert status == 0 and "features" not in facts["footprints"]
+    assert facts["footprints"]["buildings by status"] == {"ok": 2}
 
 
 def test_inputs_that_a_run_would_refuse(
