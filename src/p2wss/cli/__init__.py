@@ -31,6 +31,7 @@ COMMANDS = {
         "reconstruct": "reconstruct buildings from your own LiDAR and footprints",
         "scene": "a place on the map as a scene for radar: fetch its data, reconstruct it",
         "view": "show buildings of any CityJSON file in 3D, in a browser",
+        "explain": "why the roof of a building is as it is",
         "outlines": "derive building outlines from LiDAR, without footprints",
         "evaluate": "measure the buildings of a CityJSON file of any program against LiDAR",
         "check": "validate the solids of CityJSON files",

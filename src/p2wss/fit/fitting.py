@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
 from p2wss.fit.mesh.chimneys import with_chimneys
 from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.planes.fit import fit_planes
+from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.points import ground_points, shaft_points, wall_hits
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, fit_roof, roof_loss
 from p2wss.fit.roof.prior import make_prior
@@ -25,6 +26,8 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 
 METHOD = "fit"
+# where somebody asks why a roof is as it is: of each fit from there on, the id of the building and its planes, if any
+TRACE: ContextVar[list[tuple[str, PlanesFit | None]] | None] = ContextVar("trace", default=None)
 # points of class ground, or low ones in a gap of the roof, this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
 
@@ -82,7 +85,7 @@ class _Solid:
     """A building before its last steps.
 
     num_parts: bodies between which there are steps. eave_height_m: of the largest. angle_deg: of each edge of the
-    footprint. is_parametric: whether this is the building of the paper. is_simplified: whether points show more planes.
+    footprint. is_parametric: whether this is the building of the paper. planes: None for one.
     """
 
     mesh: Mesh
@@ -90,7 +93,7 @@ class _Solid:
     eave_height_m: float
     angle_deg: np.ndarray
     is_parametric: bool
-    is_simplified: bool = False
+    planes: PlanesFit | None = None
 
 
 def fit_building(task: _Task) -> Reconstruction:
@@ -101,6 +104,8 @@ def fit_building(task: _Task) -> Reconstruction:
     solid = cover_with_planes(task, prepared) or raise_parametric(task, prepared)
     if isinstance(solid, str):
         return no_mesh(task.building, task.method, solid)
+    if (trace := TRACE.get()) is not None:
+        trace.append((task.building.building_id, solid.planes))
     mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
     mesh = prepared.open_ground.marked(mesh)
     mesh = add_chimneys(task, prepared, mesh)
@@ -162,9 +167,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     )
     if planes is None:
         return None
-    return _Solid(
-        planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False, planes.is_simplified
-    )
+    return _Solid(planes.mesh, planes.num_bodies, *planes.parameters(prepared.rings), False, planes)
 
 
 def known_roof(task: _Task, prepared: _Prepared, supposed_m: np.ndarray, settings: Planes) -> Mesh | None:
@@ -224,5 +227,5 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
         solid.angle_deg,
         mesh,
         solid.num_parts,
-        is_simplified=solid.is_simplified,
+        is_simplified=solid.planes is not None and solid.planes.is_simplified,
     )

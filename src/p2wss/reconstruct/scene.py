@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     import geopandas as gpd
     import trimesh
 
+    from p2wss.reconstruct.explain import Explanation
     from p2wss.reconstruct.network import Predictor
 
 log = logging.getLogger("p2wss")
@@ -298,6 +299,17 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         """
         chosen = self.values() if ids is None else [self[each] for each in ids]
         return picture.plot(chosen, view, axes)
+
+    def explain(self, building_id: str) -> Explanation:
+        """Why the roof of a building is as it is: ``print`` shows it as text, its ``plot()`` as a picture. The building
+        is reconstructed once more.
+
+        Raises :class:`InputError` for a scene that was read from a file, which has no points."""
+        from p2wss.reconstruct import explain
+
+        if self._run is None:
+            raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
+        return explain.explain(self._run.inputs, self.config, building_id)
 
     def _bodies(self, skin: bool) -> list[Body]:
         bodies = [

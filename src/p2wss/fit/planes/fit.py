@@ -41,7 +41,8 @@ _LOW_M = 2.0
 class PlanesFit:
     """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
     there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof. is_simplified:
-    whether the points show more planes than :class:`p2wss.fit.settings.Limits` allow."""
+    whether the points show more planes than :class:`p2wss.fit.settings.Limits` allow. costs: what was compared.
+    point_m, at_plane: the points, and the plane of each, -1 for none. num_known: the last planes, of a known roof."""
 
     plane: np.ndarray
     cells: Arrangement
@@ -49,7 +50,11 @@ class PlanesFit:
     body: np.ndarray
     num_bodies: int
     mesh: Mesh
-    is_simplified: bool = False
+    is_simplified: bool
+    costs: Costs
+    point_m: np.ndarray
+    at_plane: np.ndarray
+    num_known: int
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
         """(eave height of the largest body, angle in degrees of every edge): that of a plane which rises from its edge,
@@ -153,7 +158,10 @@ def fit_planes(
         return None
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
-    return PlanesFit(plane, cells, label, body, num_bodies, mesh, num_found < num_shown)
+    is_simplified = num_found < num_shown
+    return PlanesFit(
+        plane, cells, label, body, num_bodies, mesh, is_simplified, costs, point_m, at_plane, num_known
+    )
 
 
 def _drawn(
