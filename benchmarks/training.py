@@ -2,8 +2,9 @@
 
     python benchmarks/training.py [--config config/models/cpu.yaml ..] [--num 4000] [--steps 3] [--batch N]
     python benchmarks/training.py --config config/models/gpu.yaml --device cuda --steps 20
+    python benchmarks/training.py --completion
 
-Needs torch, no data.
+Needs torch, no data. ``--completion``: only how fast houses are drawn and described for the completion, in seconds.
 
 ``--config`` can switch ``compute.compile`` on; the completion is always compiled on a GPU.
 
@@ -21,6 +22,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
@@ -31,13 +33,14 @@ from figures import Figures, cpu_seconds, peak_mib
 
 from p2wss.config import Config, Optimiser, load
 from p2wss.nets import compute
+from p2wss.nets.clues import features_of
 from p2wss.nets.completion import RoofCompletion
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
 from p2wss.training.completion import CompletionTask
 from p2wss.training.dataset import BuildingDataset
-from p2wss.training.drawn_roofs import draw_batch, draw_roofs
+from p2wss.training.drawn_roofs import draw_roofs
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.loop import Task
 from p2wss.training.model import ModelTask
@@ -108,11 +111,17 @@ def seconds_of_steps(task: Task, optimiser: Optimiser, steps: int) -> tuple[np.n
     return took[num_first:], waited[num_first:].sum() / took[num_first:].sum()
 
 
-def drawing() -> float:
-    """Houses per CPU second that one process draws for the completion."""
-    roofs = draw_roofs(0, share=0.02)
-    index = np.random.default_rng(0).integers(len(roofs.z), size=1024)
-    return len(index) / cpu_seconds(lambda: draw_batch(roofs, index, np.random.default_rng(0)))
+def houses_per_second() -> dict[str, float]:
+    """Houses per CPU second for the completion, of one process and in batches of 1,024: drawn, described (the features
+    of the network), and both."""
+    task = CompletionTask(RoofCompletion(), draw_roofs(0, share=0.02), 1024, 0)
+    clues = task.load(0).clues
+    parts: dict[str, Callable[[], object]] = {
+        "drawn": lambda: task.load(0),
+        "described": lambda: features_of(clues, torch),
+        "drawn and described": lambda: features_of(task.load(0).clues, torch),
+    }
+    return {name: 1024 / cpu_seconds(call) for name, call in parts.items()}
 
 
 def completion_steps(device: torch.device, steps: int) -> float:
@@ -152,6 +161,7 @@ def main() -> int:
     parser.add_argument("--num", type=int, default=4000, help="buildings")
     parser.add_argument("--steps", type=int, default=3, help="measured steps of each kind")
     parser.add_argument("--batch", type=int, help="size of the batches of both stages; no inference")
+    parser.add_argument("--completion", action="store_true", help="only drawing and describing of houses")
     parser.add_argument("--inference", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -164,7 +174,14 @@ def main() -> int:
         print(json.dumps(inference(config, options.inference)))
         return 0
     figures = Figures()
-    figures.at_least("completion: houses/s drawn by one core", drawing(), 5000)
+    houses = houses_per_second()
+    figures.row("completion", {f"houses/s {name}": value for name, value in houses.items()})
+    print("completion: houses/s " + ", ".join(f"{value:,.0f} {name}" for name, value in houses.items()))
+    figures.at_least(
+        "completion: houses/s drawn and described by one core", houses["drawn and described"], 5000
+    )
+    if options.completion:
+        return figures.end()
     if device.type == "cuda":
         step_s = completion_steps(device, options.steps)
         figures.at_least("completion: steps/s", 1 / step_s, 13000 / 1200)

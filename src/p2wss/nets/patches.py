@@ -36,18 +36,16 @@ def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Te
     distances (b, num_centres, p) of all points from each chosen one, infinite for padding.
     """
     # contiguous copies per axis make each step a few fused passes
-    x, y, z = points.masked_fill(~valid[..., None], torch.inf).permute(2, 0, 1).contiguous()
+    xyz = points.masked_fill(~valid[..., None], torch.inf).permute(2, 0, 1).contiguous()
     to_nearest = torch.where(valid, torch.inf, -1.0).to(points.dtype)
-    chosen, distinct, distance = [], [], points.new_empty(num_centres, *valid.shape)
+    steps, offset, distance = [], torch.empty_like(xyz), points.new_empty(num_centres, *valid.shape)
     for to_current in distance:
-        farthest, current = to_nearest.max(1, keepdim=True)
-        chosen.append(current)
-        distinct.append(farthest > 0)
-        torch.sub(x, x.gather(1, current), out=to_current).square_()
-        to_current += (y - y.gather(1, current)).square_()
-        to_current += (z - z.gather(1, current)).square_()
+        steps.append(to_nearest.max(1, keepdim=True))
+        torch.sub(xyz, xyz.gather(2, steps[-1].indices.expand(3, -1, -1)), out=offset).square_()
+        torch.sum(offset, 0, out=to_current)
         torch.minimum(to_nearest, to_current, out=to_nearest)
-    return torch.cat(chosen, 1), torch.cat(distinct, 1), distance.transpose(0, 1)
+    farthest, chosen = (torch.cat(each, 1) for each in zip(*steps, strict=True))
+    return chosen, farthest > 0, distance.transpose(0, 1)
 
 
 def nearest_points(distance: Tensor, k: int) -> Tensor:

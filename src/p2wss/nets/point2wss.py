@@ -201,26 +201,32 @@ class NumberHead(nn.Module):
         by default all, with all digits of each number; zeros where there is no digit."""
         place, first = self._digits(x, length, positions)
         value, log_deviation = self._values(x[:, first])
-        period = 10.0 ** (torch.tensor(self.tokenizer.places, device=x.device) + 1) * NETWORK_SCALE
+        period = 10.0 ** (torch.tensor(self.tokenizer.places) + 1) * NETWORK_SCALE
+        period = period.to(x.device, non_blocking=True)
         middle = (torch.arange(10, device=x.device) + 0.5) / 10
         phase = (value[..., None] / period)[..., None] - middle
         spread = 2 * math.pi * log_deviation.exp()[..., None] / period
-        weight = F.one_hot(place + 1, len(period) + 1)[:, 1:] / (spread.square() + LEAST_SPREAD**2)
+        is_place = place[:, None] == torch.arange(len(period), device=x.device)
+        weight = is_place / (spread.square() + LEAST_SPREAD**2)
         return F.pad((weight[..., None] * (2 * math.pi * phase).cos()).flatten(-2), (FIRST_DIGIT, 0))
 
-    def likelihood(self, x: Tensor, tokens: Tensor, wanted: Tensor, token_value: Tensor) -> Tensor:
-        """Negative log-likelihoods (k,) of the k numbers of the ``tokens`` (b, l) whose first digits are ``wanted``,
-        bool (b, l), with Laplace distributions: the digits alone say little of a value that is still far off."""
+    def likelihood(
+        self, x: Tensor, tokens: Tensor, wanted: Tensor, token_value: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Negative log-likelihoods (b, l) of the numbers of the ``tokens`` (b, l) whose first digits are ``wanted``,
+        bool (b, l), with Laplace distributions: the digits alone say little of a value that is still far off. They are
+        at these digits, bool (b, l), and 0 elsewhere."""
         place, first = self._digits(x, tokens.shape[1], None)
         digit = token_value[tokens] * (place >= 0)
         number = torch.zeros_like(digit).index_add_(1, first, digit) * NETWORK_SCALE
         chosen = wanted & (place >= 0) & (first == torch.arange(len(first), device=x.device))
-        value, log_deviation = self._values(x[chosen])
-        return (value - number[chosen]).abs() * (-log_deviation).exp() + log_deviation
+        value, log_deviation = self._values(x)
+        off, log_deviation = (each.masked_fill(~chosen, 0) for each in (value - number, log_deviation))
+        return off.abs() * (-log_deviation).exp() + log_deviation, chosen
 
     def _digits(self, x: Tensor, length: int, positions: Tensor | None) -> tuple[Tensor, Tensor]:
         """The places (r,) of the digits at ``positions`` (-1: no digit), and the first of their number among them."""
-        place, rank = (row.to(x.device) for row in self.tokenizer.digits(length))
+        place, rank = (row.to(x.device, non_blocking=True) for row in self.tokenizer.digits(length))
         if positions is not None:
             place, rank = place[positions], rank[positions]
         return place, torch.arange(len(rank), device=x.device) - rank
@@ -307,13 +313,16 @@ class Point2Wss(nn.Module):
             sequence, masked = both.tensor_split([num_of_first])
             masked = self._add_edge_attention(masked, edges, cloud[rows], patches[rows], ground_z[rows])
             fused = self.sequence_cross(masked, present, source=(cloud[rows], valid[rows]))
+            # of all, because a GPU would have to tell how many are wanted
+            words = self._words(fused, length).flatten(0, 1).float()
             part = {
-                "words": self._words(fused, length)[row_wanted],
-                "tokens": row_tokens[row_wanted],
+                "words": F.cross_entropy(words, row_tokens.flatten(), reduction="none"),
+                "wanted": row_wanted.flatten(),
             }
             if self.number_head is not None:
                 value = self.sequence.get_buffer("token_value")
-                part["number"] = self.number_head.likelihood(fused, row_tokens, row_wanted, value)
+                number = self.number_head.likelihood(fused, row_tokens, row_wanted, value)
+                part["number"], part["chosen"] = (each.flatten() for each in number)
             if num_of_first:
                 part["cloud_fused"] = self.cloud_cross(
                     cloud_masked[first],
@@ -324,16 +333,18 @@ class Point2Wss(nn.Module):
                 part["sequence"], part["fused"] = sequence[:, 0], fused[:num_of_first, 0]
             parts.append(part)
         whole = {name: torch.cat([part[name] for part in parts if name in part]) for name in parts[0]}
-        losses = {"sequence": _mean_cross_entropy(whole["words"], whole["tokens"])}  # (2)
+        losses = {"sequence": _mean(whole["words"], whole["wanted"])}  # (2)
         if self.number_head is not None:
-            losses["number"] = _mean(whole["number"].sum(), len(whole["number"]))
+            losses["number"] = _mean(whole["number"], whole["chosen"])
         if not num_first:
             return losses
-        cloud_logits = self.cloud_head(whole["cloud_fused"][:, 1:][patch_masked])
+        masked_patches = patch_masked.nonzero(as_tuple=True)
+        cloud_logits = self.cloud_head(whole["cloud_fused"][:, 1:][masked_patches]).float()
+        codes = F.cross_entropy(cloud_logits, patch_labels[masked_patches], reduction="none")
         return (
             losses
             | {
-                "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
+                "cloud": _mean(codes, torch.ones_like(codes)),  # (1)
                 "modal": self._modal_loss(cloud[:num_first, 0], whole["sequence"]),  # (3)
                 "match": self._match_loss(whole["cloud_fused"][:, 0], whole["fused"]),  # (4)
             }
@@ -363,7 +374,9 @@ class Point2Wss(nn.Module):
             others = (loss.sum() - loss.diagonal().sum()) / max(loss.numel() - len(loss), 1)
             return (matching + others) / 2
         return F.cross_entropy(
-            logits.flatten(0, 1), target.flatten(), weight=logits.new_tensor(_MATCHING_WEIGHTS)
+            logits.flatten(0, 1),
+            target.flatten(),
+            weight=torch.tensor(_MATCHING_WEIGHTS).to(logits.device, non_blocking=True),
         )
 
     def restore(
@@ -409,14 +422,9 @@ class Point2Wss(nn.Module):
         return x + F.pad(features, (0, 0, tok.header_length, 1))
 
 
-def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
-    """Mean over the tokens of all processes; 0 where none is masked."""
-    return _mean(F.cross_entropy(logits.float(), label, reduction="sum"), len(label))
-
-
-def _mean(total: Tensor, count: int) -> Tensor:
-    """From the sum and the number of terms of each process."""
-    return total / distributed.average_count(torch.full((), count, device=total.device))
+def _mean(loss: Tensor, is_term: Tensor) -> Tensor:
+    """Mean over the terms (k,) of all processes; 0 where there is none."""
+    return (loss * is_term).sum() / distributed.average_count(is_term.sum())
 
 
 def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -142,9 +142,9 @@ class Tokenizer:
             raise ValueError("a height, coordinate or angle does not fit the number format")
         device = parameters.xy.device
         batch, n = parameters.angle.shape
-        header = self._header[0].to(device).expand(batch, -1).clone()
+        header = self._header[0].to(device, non_blocking=True).expand(batch, -1).clone()
         header[:, 2:] = self._digits(parameters.height, self.height_places)
-        block = self._block[0].to(device).expand(batch, n, -1).clone()
+        block = self._block[0].to(device, non_blocking=True).expand(batch, n, -1).clone()
         for axis, slot in ((0, self.x_slot), (1, self.y_slot)):
             value = parameters.xy[..., axis]
             block[..., slot] = torch.where(value < 0, MINUS, PLUS)
@@ -170,7 +170,8 @@ class Tokenizer:
         """int64 (b, l): the kind of each position, one of the ``KIND_`` constants."""
         device = num_vertices.device
         n = (tokens_shape[1] - self.header_length - 1) // self.block_length
-        kind = torch.cat([self._header[1], self._block[1].repeat(n), torch.tensor([KIND_PAD])]).to(device)
+        parts = [self._header[1], self._block[1].repeat(n), torch.tensor([KIND_PAD])]
+        kind = torch.cat(parts).to(device, non_blocking=True)
         end = self.header_length + self.block_length * num_vertices[:, None]
         position = torch.arange(tokens_shape[1], device=device)
         kind = kind.expand(len(num_vertices), -1).masked_fill(position >= end, KIND_PAD)
@@ -213,11 +214,9 @@ class Tokenizer:
 
     def _digits(self, value: Tensor, places: tuple[int, ...]) -> Tensor:
         """(..., len(places)): digit tokens of non-negative integers in units of the last place."""
-        powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=value.device)
-        first = torch.tensor(
-            [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=value.device
-        )
-        return (value[..., None] // powers) % 10 + first
+        last = places[-1]
+        digits = [value // 10 ** (each - last) % 10 + self.digit_tokens(each).start for each in places]
+        return torch.stack(digits, -1)
 
     def digit_tokens(self, place: int) -> slice:
         """The ten digit tokens of a place, as a slice of the vocabulary."""

@@ -141,8 +141,8 @@ def draw_batch(
     least, most = np.log(MIN_POINTS), np.log(MAX_POINTS)
     count = np.exp(rng.uniform(least, most, num)).astype(int)
     is_point = np.arange(MAX_POINTS) < count[:, None]
-    point, point_z = roofs.xy[index[:, None], own], roofs.seen_z[index[:, None], own]
-    place, z, slope = (each[index[:, None], asked] for each in (roofs.xy, roofs.z, roofs.slope))
+    point, point_z = (_samples(each, index[:, None], own) for each in (roofs.xy, roofs.seen_z))
+    place, z, slope = (_samples(each, index[:, None], asked) for each in (roofs.xy, roofs.z, roofs.slope))
     ring = np.nan_to_num(roofs.ring[index])
     is_vertex = np.isfinite(roofs.ring[index, :, 0])
     around, around_z, is_around = _around(roofs, index, count, rng)
@@ -199,6 +199,11 @@ def draw_batch(
     return clues, (z - mean) / SCALE_M, slope @ turn
 
 
+def _samples(values: np.ndarray, building: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    """Of ``values`` (n, k, ..) those of samples of buildings; several times faster than an index of two arrays."""
+    return values.reshape(-1, *values.shape[2:]).take(building * NUM_SAMPLES + sample, axis=0)
+
+
 def _turn(angle: np.ndarray) -> np.ndarray:
     """(b, 2, 2), by which rows are multiplied."""
     cos, sin = np.cos(angle), np.sin(angle)
@@ -212,13 +217,13 @@ def _around(
     num, beside = len(index), roofs.neighbour[index]
     chosen = rng.integers(NUM_SAMPLES, size=(num, NUM_NEIGHBOURS, NUM_OF_NEIGHBOUR))
     offset = roofs.centre[beside] - roofs.centre[index][:, None]
-    xy = (roofs.xy[beside[..., None], chosen] + offset[:, :, None]).reshape(num, -1, 2)
-    z = roofs.seen_z[beside[..., None], chosen].reshape(num, -1)
+    xy = (_samples(roofs.xy, beside[..., None], chosen) + offset[:, :, None]).reshape(num, -1, 2)
+    z = _samples(roofs.seen_z, beside[..., None], chosen).reshape(num, -1)
     is_known = (beside >= 0) & (rng.random((num, 1)) < 0.7)
     is_known = is_known[..., None] & (np.arange(NUM_OF_NEIGHBOUR) < count[:, None, None])
-    low, high = np.nanmin(roofs.ring[index], axis=1), np.nanmax(roofs.ring[index], axis=1)
-    beyond = np.maximum(np.maximum(low[:, None] - xy, xy - high[:, None]), 0)
-    away = np.where(is_known.reshape(num, -1), np.linalg.norm(beyond, axis=-1), np.inf)
+    low, high = (function.reduce(roofs.ring[index], axis=1)[:, None] for function in (np.fmin, np.fmax))
+    x, y = np.moveaxis(np.maximum(np.maximum(low - xy, xy - high), 0), -1, 0)
+    away = np.where(is_known.reshape(num, -1), np.sqrt(x**2 + y**2), np.inf)
     nearest = away.argsort(axis=1)[:, :MAX_AROUND]
     is_near = np.take_along_axis(away, nearest, axis=1) < _NEAR_M
     xy = np.take_along_axis(xy, nearest[..., None], axis=1)
@@ -275,7 +280,7 @@ def _dormer(
     top = (heights[2][np.arange(num), nearest] + rng.random(num))[:, None]
     is_on = rng.random((num, 1)) < share
     for number, xy in zip((0, 2), flat, strict=True):
-        inside = (np.abs(xy - middle) < size).all(axis=-1) & is_on
-        inside &= (heights[number] < top) & (top < heights[number] + 2.5)
+        is_along, is_across = np.moveaxis(np.abs(xy - middle) < size, -1, 0)
+        inside = is_on & is_along & is_across & (heights[number] < top) & (top < heights[number] + 2.5)
         heights[number] = np.where(inside, top, heights[number])
     slope[inside] = 0

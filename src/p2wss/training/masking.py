@@ -49,9 +49,8 @@ def mask_parameters(
     """
     kind = tokenizer.kinds(tokens.shape, parameters.num_vertices)
     shares = torch.tensor([settings.inference_share, settings.table1_share, settings.disturbed_share])
-    pattern = torch.searchsorted(
-        shares.cumsum(0).to(kind.device), torch.rand(len(kind), 1, device=kind.device), right=True
-    )
+    shares = shares.cumsum(0).to(kind.device, non_blocking=True)
+    pattern = torch.searchsorted(shares, torch.rand(len(kind), 1, device=kind.device), right=True)
     low, high = settings.random_ratio
     ratio = low + (high - low) * torch.rand(len(kind), 1, device=kind.device)
     random = torch.rand(kind.shape, device=kind.device) < ratio

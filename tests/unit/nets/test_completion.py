@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import shapely
@@ -77,6 +79,35 @@ def test_features_of_tensors_are_those_of_arrays() -> None:
     for expected, feature in zip(features_of(given), features_of(single, torch), strict=True):
         assert feature.dtype == (torch.float32 if expected.dtype == float else tensors_type(expected))
         assert feature.numpy() == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("xp", [np, torch])
+def test_features_of_many_buildings_are_those_of_each(xp: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the number that is described at once, to the bit."""
+    every = [clues(num, num // 3, 4 + num, np.random.default_rng(num)) for num in range(3, 10)]
+    many = Clues(*(xp.asarray(np.concatenate(each)) for each in zip(*every, strict=True)))
+    at_once = features_of(many, xp)
+    monkeypatch.setattr("p2wss.nets.clues._AT_ONCE", 3)
+    for row in range(len(every)):
+        alone = features_of(Clues(*(each[row : row + 1] for each in many)), xp)
+        for parts, whole, one in zip(features_of(many, xp), at_once, alone, strict=True):
+            assert parts.dtype == one.dtype
+            assert (parts[row] == one[0]).all() and (whole[row] == one[0]).all()
+
+
+def test_distances_and_offsets_are_those_of_shapes() -> None:
+    """From points and places to points and to edges, as GEOS has them."""
+    given = clues(17, 5, 9, np.random.default_rng(2))
+    features = features_of(given)
+    point = np.concatenate([given.point, given.around], axis=1)[0, :, :2]
+    corner = given.ring[0, :9]
+    end = np.roll(corner, -1, axis=0)
+    to = np.concatenate([shapely.points(point), shapely.linestrings(np.stack([corner, end], axis=1))])
+    for name, at in (("distance", point), ("place_distance", given.place[0])):
+        expected = shapely.distance(shapely.points(at)[:, None], to)
+        assert getattr(features, name)[0, : len(at), : len(to)] == pytest.approx(expected, abs=1e-4)
+    middle = np.concatenate([point, (corner + end) / 2])
+    assert features.offset[0, :, : len(middle)] == pytest.approx(given.place[0][:, None] - middle)
 
 
 def test_padding_says_nothing() -> None:

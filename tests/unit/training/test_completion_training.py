@@ -14,12 +14,32 @@ from safetensors.numpy import load_file
 from p2wss import cli
 from p2wss.config.training import Optimiser
 from p2wss.nets import supposed
-from p2wss.nets.clues import MAX_POINTS, SCALE_M
+from p2wss.nets.clues import MAX_POINTS, MAX_VERTICES, SCALE_M
 from p2wss.nets.completion import RoofCompletion
 from p2wss.storage.errors import InputError
 from p2wss.towns.buildings import Wing
 from p2wss.training import completion, drawn_roofs
-from p2wss.training.drawn_roofs import DrawnRoofs, _roof, draw_batch, draw_roofs
+from p2wss.training.drawn_roofs import (
+    NUM_NEIGHBOURS,
+    NUM_SAMPLES,
+    DrawnRoofs,
+    _roof,
+    draw_batch,
+    draw_roofs,
+)
+
+# sums of the test below, by the first version
+FORMER = {
+    "point": -33.160663496065254,
+    "is_point": 10.111293070038043,
+    "around": 15.14239107682729,
+    "is_around": 6.738678464036769,
+    "ring": 0.7199987810731283,
+    "is_vertex": 1.580250669487271,
+    "place": -19.757256861832794,
+    "z": 9.266222899612925,
+    "slope": 82.80720879290445,
+}
 
 
 @pytest.fixture
@@ -63,6 +83,21 @@ def test_samples_are_deterministic_and_vary(roofs: DrawnRoofs) -> None:
     for one, same in zip((*first[0], *first[1:]), (*again[0], *again[1:]), strict=True):
         assert np.array_equal(one, same)
     assert not np.array_equal(first[1], other[1])
+
+
+def test_samples_of_a_seed_are_those_of_former_versions() -> None:
+    """Weighted sums of what the first version drew of the same roofs."""
+    rng, num = np.random.default_rng(7), 30
+    angle = np.linspace(0, 2 * np.pi, MAX_VERTICES, endpoint=False)
+    ring = np.column_stack([6 * np.cos(angle), 4 * np.sin(angle)]) * rng.uniform(0.8, 1.2, (num, 1, 1))
+    ring[rng.random(num) < 0.5, 6:] = np.nan
+    xy, z = rng.uniform(-6, 6, (num, NUM_SAMPLES, 2)), rng.uniform(3, 9, (num, NUM_SAMPLES))
+    centre, slope = rng.uniform(0, 40, (num, 2)), rng.normal(size=xy.shape)
+    neighbour = rng.integers(-1, num, (num, NUM_NEIGHBOURS))
+    roofs = DrawnRoofs(ring, centre, xy, z, slope, z + rng.random(z.shape), neighbour)
+    clues, *wanted = draw_batch(roofs, rng.integers(num, size=200), rng)
+    sums = [float((each.ravel() * np.cos(np.arange(each.size))).sum()) for each in (*clues, *wanted)]
+    assert sums == pytest.approx(list(FORMER.values()), rel=1e-9)
 
 
 def test_batches_of_forks_are_those_of_one_process(few_towns: None) -> None:
