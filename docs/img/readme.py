@@ -15,17 +15,28 @@ from PIL import Image
 SIZE = (600, 440)
 
 
+def radio_map(path: Path) -> Image.Image:
+    """The middle of that picture above its scale."""
+    image = Image.open(path).convert("RGB")
+    width, height = SIZE
+    scale = image.crop((0, 548, *image.size))
+    scale = scale.resize((width, round(scale.height * width / scale.width)), Image.Resampling.LANCZOS)
+    high = height - scale.height
+    middle = image.crop((110, 0, 110 + round(545 * width / high), 545))
+    result = Image.new("RGB", SIZE, "white")
+    result.paste(middle.resize((width, high), Image.Resampling.LANCZOS), (0, 0))
+    result.paste(scale, (0, high))
+    return result
+
+
 def main(page_of_run: Path, out: Path, executable: str | None) -> None:
     """Put the three pictures side by side."""
     pictures = list(
         drawn([Picture(page_of_run, (shown,), zoom=0) for shown in ("points", "p2wss")], SIZE, executable)
     )
-    radio = Image.open(Path(__file__).with_name("radio_map.png")).convert("RGB")
-    radio = radio.crop((110, 0, 110 + round(545 * SIZE[0] / SIZE[1]), 545)).resize(
-        SIZE, Image.Resampling.LANCZOS
-    )
+    pictures.append(radio_map(Path(__file__).with_name("radio_map.png")))
     whole = Image.new("RGB", (3 * SIZE[0], SIZE[1]), "white")
-    for number, picture in enumerate([*pictures, radio]):
+    for number, picture in enumerate(pictures):
         whole.paste(picture, (number * SIZE[0], 0))
     whole.quantize(128).save(out, optimize=True)
 
