@@ -143,29 +143,38 @@ def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -
     walls."""
     planes, (vertex, plane) = mesh.planes, mesh.at
     order = np.argsort(plane, kind="stable")
-    vertices = np.split(vertex[order], np.cumsum(np.bincount(plane))[:-1])
+    point_m = dict(enumerate(np.split(mesh.vertex_m[vertex[order]], np.cumsum(np.bincount(plane))[:-1])))
 
-    def off_plane_m(members: Sequence[int]) -> float:
-        point_m = mesh.vertex_m[np.concatenate([vertices[each] for each in members])]
-        away_m = (point_m - point_m.mean(axis=0))[:, : 2 if planes.kind[members[0]] == FaceKind.WALL else 3]
-        return float(np.abs(away_m @ np.linalg.svd(away_m, full_matrices=False)[2][-1]).max())
+    def off_plane_m(point_m: np.ndarray, kind: int) -> float:
+        """How far the furthest place (m, 3) is from the plane through all, an upright one of walls."""
+        away_m = (point_m - point_m.mean(axis=0))[:, : 2 if kind == FaceKind.WALL else 3]
+        return float(np.abs(away_m @ np.linalg.eigh(away_m.T @ away_m)[1][:, 0]).max())
 
-    candidates = [
-        _Step(off_plane_m(pair), (), pair, buildings)
-        for pair, buildings in beside.items()
+    candidates = []
+    for (one, other), buildings in beside.items():
+        kind = planes.kind[one]
         # steps between level roofs move these as a whole
-        if planes.kind[pair[0]] == planes.kind[pair[1]]
-        and planes.kind[pair[0]] in (FaceKind.ROOF, FaceKind.WALL)
-        if planes.normal[pair[0]] @ planes.normal[pair[1]] > _ONE_COSINE
-    ]
+        is_alike = kind == planes.kind[other] and kind in (FaceKind.ROOF, FaceKind.WALL)
+        if is_alike and planes.normal[one] @ planes.normal[other] > _ONE_COSINE:
+            gap_m = off_plane_m(np.concatenate([point_m[one], point_m[other]]), kind)
+            candidates.append(_Step(gap_m, (), (one, other), buildings))
     # of a long row, only as many as all together are one
-    result, members = [], {number: [number] for number in range(len(vertices))}
+    result, first = [], {number: number for number in point_m}
     for step in sorted(candidates, key=lambda step: (step.gap_m, step.planes)):
-        together = members[step.planes[0]] + members[step.planes[1]]
-        if members[step.planes[0]] is not members[step.planes[1]] and off_plane_m(together) < _ONE_M:
-            result.append(step)
-            members.update(dict.fromkeys(together, together))
+        one, other = (_root(first, each) for each in step.planes)
+        if one != other:
+            together_m = np.concatenate([point_m[one], point_m[other]])
+            if off_plane_m(together_m, planes.kind[one]) < _ONE_M:
+                result.append(step)
+                first[other], point_m[one] = one, together_m
     return result
+
+
+def _root(first: dict[int, int], number: int) -> int:
+    """The one that stands for all planes that are one with a plane."""
+    while first[number] != number:
+        first[number] = number = first[first[number]]
+    return number
 
 
 def _pairs(pairs: Sequence[tuple[int, ...]]) -> np.ndarray:
