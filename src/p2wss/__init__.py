@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from p2wss.config import Config
     from p2wss.fetch.area import Fetched
     from p2wss.formats.validity import Validity
-    from p2wss.reconstruct.inputs import CloudInput, FootprintInput
+    from p2wss.reconstruct.inputs import CloudInput, FootprintInput, LineInput
     from p2wss.reconstruct.scene import Scene
 
 __version__ = "0.2.0"
@@ -67,6 +67,7 @@ def reconstruct(
     ids: Sequence[str] | None = None,
     bbox: tuple[float, float, float, float] | None = None,
     terrain: str | Path | None = None,
+    lines: LineInput | None = None,
     detail: str | None = None,
     model: str | Path | None = None,
     config: Config | str | Path | dict[str, Any] | None = None,
@@ -79,12 +80,13 @@ def reconstruct(
     laspy has read. footprints: a vector file, a table with polygons, or polygons alone, in any CRS; None for outlines
     that are derived from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only
     the buildings of these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run.
-    terrain: a raster of heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model:
-    weights of Point2WSS, or ``"none"`` for no network at all; by default those that come with the package where
-    parametric roofs are asked for, and otherwise only a network that completes roofs of few points. config: a file, or
-    sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
-    config/default.yaml describe every setting. threads: of the network; without one, as many processes
-    fit. progress: whether to show a bar, or a function that is called with (number done, number in all).
+    terrain: a raster of heights, in which written meshes then stand. lines: ridges, valleys and other lines of roofs
+    that a map knows, as footprints are given: planes may end there if the points do not contradict. detail: ``low``,
+    ``normal`` or ``high``. model: weights of Point2WSS, or ``"none"`` for no network at all; by default those that
+    come with the package where parametric roofs are asked for, and otherwise only a network that completes roofs of
+    few points. config: a file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
+    config/default.yaml describe every setting. threads: of the network; without one, as many processes fit. progress:
+    whether to show a bar, or a function that is called with (number done, number in all).
 
     Raises :class:`InputError` for inputs that cannot work. A building that cannot be reconstructed raises nothing: its
     ``status`` and ``reason`` tell.
@@ -103,7 +105,7 @@ def reconstruct(
     from p2wss.reconstruct.inputs import check_inputs
 
     settings = as_config(config, detail)
-    inputs = check_inputs(cloud, footprints, settings, crs, terrain, model)
+    inputs = check_inputs(cloud, footprints, settings, crs, terrain, model, lines=lines)
     from p2wss.reconstruct import scene  # only now, as it takes a second
 
     return scene.reconstruct(

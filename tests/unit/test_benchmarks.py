@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib
 import re
 import runpy
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
+import geopandas as gpd
+import laspy
+import numpy as np
 import pytest
+import shapely
 from places import ROOT
 
 FOLDER = ROOT / "benchmarks"
@@ -96,3 +102,34 @@ def test_a_benchmark_says_how_to_run_it_and_what_it_needs(name):
     if not re.search(r"\b(Used|Shared) by\b", docstring):
         assert f"benchmarks/{name}.py" in docstring
         assert re.search(r"\b[Nn]eeds?\b", docstring)
+
+
+@pytest.mark.usefixtures("beside_scripts")
+def test_the_houses_of_delft_are_cut_out_of_files_with_the_stated_digests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delft = importlib.import_module("delft")
+    source, folder = tmp_path / "source", tmp_path / "delft"
+    for name in (delft.CLOUD, delft.FOOTPRINTS):
+        (source / name).parent.mkdir(parents=True)
+    las = laspy.create(point_format=1)
+    las.x, las.y, las.z = np.array([[84835.5, 84854.5, 84855.5], [447500.0] * 3, [1.0, 2.0, 3.0]])
+    las.write(source / delft.CLOUD)
+    # the second house is beside the box
+    houses = [shapely.box(x, 447500, x + 10, 447510) for x in (84840, 84960)]
+    gpd.GeoDataFrame({"gml_id": ["a", "b"]}, geometry=houses, crs=28992).to_file(
+        source / delft.FOOTPRINTS, driver="SQLite"
+    )
+    digests = {name: hashlib.sha256((source / name).read_bytes()).hexdigest() for name in delft.DIGESTS}
+    assert list(delft.DIGESTS.values()) != list(digests.values())
+    with pytest.raises(SystemExit, match=r"ahn3_cropped_1.laz: its SHA-256 is .*, not 0f55.*remove it"):
+        delft.downloaded(folder, source.as_uri())
+    monkeypatch.setattr(delft, "DIGESTS", digests)
+    assert delft.downloaded(folder, source.as_uri()) == folder
+    # up to 5 m around the houses
+    assert np.array(laspy.read(folder / "ahn3.laz").z).tolist() == [1.0, 2.0]
+    kept = gpd.read_file(folder / "footprints.gpkg")
+    assert kept["building_id"].tolist() == ["a"] and kept.geometry[0].equals(houses[0])
+    (folder / Path(delft.CLOUD).name).unlink()
+    with pytest.raises(SystemExit, match=r"cannot be fetched: .*put the file into"):
+        delft.downloaded(folder, (tmp_path / "gone").as_uri())

@@ -27,6 +27,7 @@ from p2wss.storage.errors import InputError
 @crs_option
 @setting("reconstruct.detail")
 @setting("reconstruct.registration")
+@option("--lines", type=PATH, help="vector file with lines of roofs, as for p2wss reconstruct")
 @setting("reconstruct.height_unit")
 @setting("reconstruct.footprint_layer", "--layer", metavar="NAME")
 @setting("reconstruct.footprint_schema")
@@ -34,7 +35,12 @@ from p2wss.storage.errors import InputError
 @classes_option
 @config_option
 def explain(
-    inputs: tuple[Path, ...], building_id: str, out: Path | None, crs: str | None, config: Config
+    inputs: tuple[Path, ...],
+    building_id: str,
+    out: Path | None,
+    lines: Path | None,
+    crs: str | None,
+    config: Config,
 ) -> None:
     """Reconstruct one building, and show why its roof is as it is: its points by plane, the lines along which planes
     may end, what each plane saves, and what the prices are."""
@@ -44,7 +50,7 @@ def explain(
         raise InputError(f"{out}: a picture is a .svg or a .png file")
     from p2wss.reconstruct.inputs import check_inputs
 
-    checked = check_inputs(list(inputs[:-1]), inputs[-1], config, crs)
+    checked = check_inputs(list(inputs[:-1]), inputs[-1], config, crs, lines=lines)
     from p2wss.reconstruct import explain  # only now, as it takes a second
 
     explanation = explain.explain(checked, config, building_id)

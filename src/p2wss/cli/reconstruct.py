@@ -55,6 +55,12 @@ OF_FOOTPRINTS = (
 @setting("reconstruct.outputs", "--outputs", "--format", more=False, help="formats to write")
 @setting("reconstruct.detail", more=False, help="fewer triangles, or nearer to the points")
 @option("--terrain", type=PATH, help="raster of heights; meshes then stand on a block of terrain")
+@option(
+    "--lines",
+    type=PATH,
+    more=True,
+    help="vector file with lines of roofs, such as ridges, that planes may end at if the points do not contradict",
+)
 @setting("reconstruct.skin", more=False, help="merge the buildings of a block into one mesh")
 @option("--ids", type=Names(), help="reconstruct only the buildings of these ids")
 @option(
@@ -113,6 +119,7 @@ def reconstruct(
     no_footprints: bool,
     crs: str | None,
     terrain: Path | None,
+    lines: Path | None,
     threads: int,
     config: Config,
     model: Path | None,
@@ -143,9 +150,7 @@ def reconstruct(
         from p2wss.reconstruct.inputs import check_inputs
 
     start = time.monotonic()
-    checked = check_inputs(
-        clouds, footprints, config, crs, terrain, model, may_be_empty=chosen["tile"] is not None
-    )
+    checked = check_inputs(clouds, footprints, config, crs, terrain, model, chosen["tile"] is not None, lines)
     with importing():
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))

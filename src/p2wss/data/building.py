@@ -24,7 +24,8 @@ class Building:
     shows it (:func:`p2wss.clouds.crops.crop_cloud`); NaN only without points. All other heights are above it.
     stated_height_m: height above the ground that the footprint states; NaN if unknown. around_m: (k, 3), points on the
     roofs around a building with few of its own, in the same frame; none for others. supposed_m: (s, 3), places all over
-    the roof of a building with few points, at heights that a network supposes; none for others.
+    the roof of a building with few points, at heights that a network supposes; none for others. line_m: (l, 2, 2), ends
+    of lines of the roof that a map knows, in the same frame; None in a run without such lines.
     """
 
     building_id: str
@@ -37,6 +38,7 @@ class Building:
     stated_height_m: float = float("nan")
     around_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     supposed_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    line_m: np.ndarray | None = None
 
     @cached_property
     def polygon(self) -> shapely.Polygon:
@@ -65,6 +67,7 @@ class Reconstruction:
     90 degrees or a slope. status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat
     roof used as a fallback. surfaces: the planar polygons of the mesh that were found to be a valid solid, as files
     have them; none before that. is_simplified: whether the points show more than a building may have.
+    num_lines_used: of the lines of ``Building.line_m``, those that are edges of the roof.
     """
 
     building_id: str
@@ -81,6 +84,7 @@ class Reconstruction:
     class_probability: np.ndarray | None = None
     surfaces: Sequence[Surface] = ()
     is_simplified: bool = False
+    num_lines_used: int = 0
 
     @property
     def has_mesh(self) -> bool:

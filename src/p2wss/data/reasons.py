@@ -47,6 +47,7 @@ ROOFER_TIMEOUT = "roofer-timeout"
 NO_ROOFER_MESH = "no-roofer-mesh"
 NOT_RECORDED = "not-recorded"
 OTHER_CLOUDS = "recorded-of-other-clouds"
+OTHER_POINTS = "recorded-of-other-points"
 
 # footprints that the cloud contradicts
 NO_BUILDING = "no-building"
@@ -110,6 +111,7 @@ MEANINGS: dict[str, str] = {
     NO_ROOFER_MESH: "Roofer produced no mesh",
     NOT_RECORDED: "the building is not among the recorded outputs of Roofer",
     OTHER_CLOUDS: "the recorded outputs of Roofer were made from other points than those of the tile now",
+    OTHER_POINTS: "the recorded mesh of Roofer is of the same simulated building, from as many other points",
     # of the kernel, in the order of its checks
     "too-small": "the footprint is smaller than scenes.min_area_m2",
     TOO_MANY_EDGES: "the footprint has more edges than scenes.max_edges, or a ring has more than the kernel supports",

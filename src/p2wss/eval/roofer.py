@@ -6,6 +6,7 @@ cannot be run, CityJSON of an earlier run may replace it.
 
 from __future__ import annotations
 
+import hashlib
 import shlex
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -37,6 +38,8 @@ _ID_FIELD = "building_id"
 # centimetres leave all but 0.3 % of the points of a real cloud, and another draw of the simulation leaves none
 _SAME_SHARE = 0.95
 _SKETCH = 128
+# other points of the same simulated buildings are about as many, up to this share
+_OTHER_NUMBER = 0.05
 
 
 def reconstruct(cases: Sequence[Case], crs: str | None, config: Eval) -> list[Reconstruction]:
@@ -45,38 +48,73 @@ def reconstruct(cases: Sequence[Case], crs: str | None, config: Eval) -> list[Re
     It is run on their points or, if it cannot be run, replaced by recorded outputs; empty if there are none for the
     tile. Without a solid the status states the reason.
     """
-    if roofer_command.version(config) is not None:
-        with outputs(cases, crs, config) as (paths, missing):
-            solids = _read(paths)
-    else:
-        recorded = _recorded(cases, roofer_command.recorded_files(config))
-        if recorded is None:
-            return []
-        solids, missing = recorded
+    if roofer_command.version(config) is None:
+        return _recorded(cases, roofer_command.recorded_files(config))
+    with outputs(cases, crs, config) as (paths, missing):
+        solids = _read(paths)
     return [_reconstruction(case, solids.get(case.building.building_id), missing) for case in cases]
 
 
-def _recorded(cases: Sequence[Case], paths: Sequence[Path]) -> tuple[dict[str, ReadSolid], str] | None:
-    """Recorded solids by building id, and why others have none; None where nothing is recorded for the tile.
+def _recorded(cases: Sequence[Case], paths: Sequence[Path]) -> list[Reconstruction]:
+    """Recorded solids of the cases; none where nothing is recorded for the tile.
 
-    Where the outputs state the clouds that they were made from, they count for these only; otherwise for real LiDAR.
+    Where the outputs state what they were made from, they count for these clouds, and for simulated buildings of the
+    same truth and about as many points, whose status then says that these are others; otherwise for real LiDAR.
     """
     dataset, tile = cases[0].dataset, cases[0].building.tile
-    for path in paths:
-        if path.name == roofer_command.CLOUDS:
-            recorded = files.read_json(
-                path, dict[str, dict[str, list[int]]], "hashes of points by data set and tile"
-            )
-            known = recorded.get(dataset, {}).get(tile)
-            if known is None:
-                return None
-            if len(set(known) & set(cloud_sketch(cases))) < _SAME_SHARE * len(known):
-                return {}, reasons.OTHER_CLOUDS
-            folder = path.parent if dataset == REAL else path.parent / dataset
-            return _read(
-                each for each in paths if each.parent == folder and each != path
-            ), reasons.NOT_RECORDED
-    return (_read(paths), reasons.NOT_RECORDED) if paths and dataset == REAL else None
+    stated = next((path for path in paths if path.name == roofer_command.CLOUDS), None)
+    if stated is None:
+        if dataset != REAL or not paths:
+            return []
+        states = [reasons.OK] * len(cases)
+    else:
+        kind = dict[str, dict[str, dict[str, list[int]]]]
+        recorded = files.read_json(stated, kind, "hashes of points and buildings by data set and tile")
+        known = recorded.get(dataset, {}).get(tile)
+        if known is None:
+            return []
+        folder = stated.parent if dataset == REAL else stated.parent / dataset
+        paths = [each for each in paths if each.parent == folder and each != stated]
+        states = _states(cases, known)
+    solids = _read(paths)
+    return [
+        _reconstruction(case, None, state)
+        if state == reasons.OTHER_CLOUDS
+        else _reconstruction(case, solids.get(case.building.building_id), reasons.NOT_RECORDED, state)
+        for case, state in zip(cases, states, strict=True)
+    ]
+
+
+def made_from(cases: Sequence[Case]) -> dict[str, list[int]]:
+    """What tells later whether outputs belong to the cases of a tile: ``points``, a sketch of the cloud,
+    ``num_points``, and ``buildings``, hashes of the truths of simulated ones."""
+    return {
+        "points": cloud_sketch(cases),
+        "num_points": [len(_cloud(cases)[0])],
+        "buildings": [_truth_hash(case) for case in cases if case.is_labelled],
+    }
+
+
+def _states(cases: Sequence[Case], known: dict[str, list[int]]) -> list[str]:
+    """Of each case, whether outputs that were made from ``known`` (:func:`made_from`) are of its points, of as many
+    others on the same building, or of neither."""
+    now, (num_known,) = made_from(cases), known["num_points"]
+    if len(set(known["points"]) & set(now["points"])) >= _SAME_SHARE * len(known["points"]):
+        return [reasons.OK] * len(cases)
+    is_alike = abs(now["num_points"][0] - num_known) <= _OTHER_NUMBER * num_known
+    same = set(known["buildings"]) if is_alike else ()
+    is_same = [case.is_labelled and _truth_hash(case) in same for case in cases]
+    return [reasons.OTHER_POINTS if each else reasons.OTHER_CLOUDS for each in is_same]
+
+
+def _truth_hash(case: Case) -> int:
+    """Of the id, the footprint, the heights and the angles of a simulated building, to centimetres and hundredths."""
+    building = case.building
+    corner_m = np.concatenate([ring + building.origin_xy_m for ring in building.rings])
+    height_m = np.array((case.eave_height_m, case.label_terrain_z_m), float)
+    values = np.concatenate([corner_m.ravel(), height_m, np.array(case.angle_deg, float)])
+    hundredths = np.round(values * 100).astype(np.int64)
+    return int(hashlib.sha256(building.building_id.encode() + hundredths.tobytes()).hexdigest()[:8], 16)
 
 
 def cloud_sketch(cases: Sequence[Case]) -> list[int]:
@@ -104,7 +142,9 @@ def _read(paths: Iterable[Path]) -> dict[str, ReadSolid]:
     return {str(solid.attributes.get(_ID_FIELD, solid.building_id)): solid for solid in solids}
 
 
-def _reconstruction(case: Case, solid: ReadSolid | None, missing: str) -> Reconstruction:
+def _reconstruction(
+    case: Case, solid: ReadSolid | None, missing: str, status: str = reasons.OK
+) -> Reconstruction:
     building = case.building
     if solid is None or not len(solid.mesh.triangle):
         return no_mesh(building, METHOD, missing if solid is None else reasons.NO_ROOFER_MESH)
@@ -112,7 +152,7 @@ def _reconstruction(case: Case, solid: ReadSolid | None, missing: str) -> Recons
         building_id=building.building_id,
         tile=building.tile,
         method=METHOD,
-        status="ok",
+        status=status,
         origin_xy_m=building.origin_xy_m,
         # the ground face of Roofer's solid is at its own estimate of the ground
         ground_z_m=building.ground_z_m,

@@ -164,8 +164,11 @@ def was_not_run(frame: pd.DataFrame) -> pd.Series:
 
 
 def _title(run: Run, rows: pd.DataFrame) -> str:
-    """The method; with the reason if it has none of the meshes of a data set, all for the same one."""
+    """The method; with the reason if it has none of the meshes of a data set, all for the same one, or if its meshes
+    are of other points."""
     states = rows["status"].unique()
+    if reasons.OTHER_POINTS in states:
+        return f"{METHOD_NAMES[run.method]} ({run.status}, from other points of the same buildings)"
     if len(states) != 1 or rows["num_triangles"].notna().any():
         return run.name
     return f"{METHOD_NAMES[run.method]} ({'not run: ' if was_not_run(rows).all() else ''}{states[0]})"
@@ -230,7 +233,7 @@ def interval(values: np.ndarray, draw: np.random.Generator, num_resamples: int) 
 def without_mesh(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
     """How many buildings have no mesh of a method, or a flat roof instead, or for which it was not run, by reason."""
     missing = frame["num_triangles"].isna()
-    rows = frame[missing | (frame["status"] != "ok")]
+    rows = frame[missing | ~frame["status"].isin([reasons.OK, reasons.OTHER_POINTS])]
     named = pd.DataFrame(
         {
             "Data set": rows["dataset"].map(titles),

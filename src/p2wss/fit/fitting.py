@@ -164,6 +164,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
         around_m,
         known_roof(task, prepared, supposed_m, settings) if has_few else None,
         supposed_m,
+        task.building.line_m,
     )
     if planes is None:
         return None
@@ -228,4 +229,5 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
         mesh,
         solid.num_parts,
         is_simplified=solid.planes is not None and solid.planes.is_simplified,
+        num_lines_used=0 if solid.planes is None else solid.planes.num_lines_used,
     )

@@ -163,6 +163,9 @@ class Drawing(NamedTuple):
     same_deg: float = 4.0
     # a step leaves less than this share of the points of the border on the wrong side
     wrong_share: float = 0.35
+    # metres: lines of a map end so far from what they should meet, and are used where an edge is so near
+    mapped_gap_m: float = 1.0
+    mapped_on_m: float = 0.2
 
     def for_density(self, per_m2: float) -> Drawing:
         """The settings where points show the borders of planes from further away."""
@@ -218,12 +221,16 @@ class PlanePrices(NamedTuple):
 
 class Limits(NamedTuple):
     """The most that the search for planes of one building takes, so that its memory is bounded: of more points an even
-    sample, of more planes the largest, half of them where their lines are more or cross in more places."""
+    sample, of more planes the largest, half of them where their lines are more or cross in more places; of more lines
+    of a map the longest, and for the planes between these an even sample of points and so many rounds of weights."""
 
     num_points: int = 300_000
     num_planes: int = 2_000
     num_lines: int = 8_000
     num_places: int = 100_000
+    num_mapped_lines: int = 200
+    num_mapped_points: int = 4_000
+    num_mapped_rounds: int = 12
 
 
 class Planes(NamedTuple):

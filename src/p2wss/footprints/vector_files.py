@@ -28,19 +28,21 @@ _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
 # the phrase of messages
 _KIND = "a readable vector file"
 _POINT, _LINE, _POLYGON = 1, 2, 3
+# what layers are read for, and how GDAL names its kinds of geometry
+_KINDS = {"polygons": ("Polygon", "Surface"), "lines": ("LineString", "Curve")}
 # endings of tables as text, and columns in which they may have geometry
 _TABLES = (".csv", ".tsv", ".psv")
 _WKT_COLUMNS = ("WKT", "geometry", "geom", "the_geom", "wkt_geom")
 
 
 def read_vector(
-    path: str | Path, bounds: Bounds | None = None, layer: str = ""
+    path: str | Path, bounds: Bounds | None = None, layer: str = "", of: str = "polygons"
 ) -> tuple[Features, np.ndarray]:
     """(the features of a layer, in the order of the file, the number of each in the file).
 
-    layer: its name; "" is the first that may have polygons, with a note if there are others. bounds: only features that
-    intersect this window, in the CRS of the file. Curves become lines, and the triangles of a TIN, the faces of a
-    polyhedral surface a multipolygon. Times are text.
+    layer: its name; "" is the first that may have ``of``, polygons or lines, with a note if there are others. bounds:
+    only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of a TIN,
+    the faces of a polyhedral surface a multipolygon. Times are text.
 
     Raises :class:`InputError` if the file is missing or broken, or has no geometry or no layer of this name.
     """
@@ -48,10 +50,11 @@ def read_vector(
         raise InputError(f"{path}: no such file")
     if not Path(path).is_dir():  # a file geodatabase is a folder
         integrity.verify(path)
-    chosen, others = _layer(path, layer)
+    chosen, others = _layer(path, layer, of)
     if others and not layer:
-        text = "note: %s: layer %s, the first that may have polygons, is read; --layer reads another: %s"
-        log.info(text, path, chosen, ", ".join(others))
+        another = "--layer reads another" if of == "polygons" else "others are"
+        text = "note: %s: layer %s, the first that may have %s, is read; %s: %s"
+        log.info(text, path, chosen, of, another, ", ".join(others))
     with _opening(path):
         if _is_parquet(path):
             import geopandas as gpd
@@ -78,6 +81,8 @@ def read_vector(
             shapes = shapely.from_wkb([each and _plain_wkb(each) for each in wkb], "ignore")
         crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
         features = Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs)
+    if of != "polygons":
+        return features, number
     is_building = osm_tags.is_building(features.columns, len(features))
     if not is_building.all():
         log.info("note: %s: %d areas that are no buildings are left out", path, (~is_building).sum())
@@ -125,8 +130,8 @@ def _is_parquet(path: str | Path) -> bool:
         return file.read(4) == b"PAR1"
 
 
-def _layer(path: str | Path, stated: str) -> tuple[str | None, list[str]]:
-    """(the layer to read, the names of the others): the one that is stated, else the first that may have polygons, else
+def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | None, list[str]]:
+    """(the layer to read, the names of the others): the one that is stated, else the first that may have ``of``, else
     the first; None for a file without layers. Raises :class:`InputError` if there is no layer of the stated name."""
     if _is_parquet(path):  # GDAL may come without its driver for Parquet
         if stated:
@@ -137,10 +142,10 @@ def _layer(path: str | Path, stated: str) -> tuple[str | None, list[str]]:
     names = [str(name) for name, _ in layers]
     if stated and stated not in names:
         raise InputError(f"{path}: has no layer {stated}; its layers are {', '.join(names)}")
-    # a layer of any geometries, as databases have them, only where none states polygons
+    # a layer of any geometries, as databases have them, only where none states these
     of_kinds = [
         [str(name) for name, kind in layers if kind and any(each in kind for each in kinds)]
-        for kinds in (("Polygon", "Surface"), ("Unknown", "Collection"))
+        for kinds in (_KINDS[of], ("Unknown", "Collection"))
     ]
     chosen = stated or next((each[0] for each in [*of_kinds, names] if each), None)
     return chosen, [name for name in names if name != chosen]

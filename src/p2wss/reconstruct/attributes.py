@@ -92,7 +92,15 @@ def _attributes(result: Result) -> dict[str, Any]:
         "overhang_m": _rounded(result.overhang_m),
         **_registration_attributes(result.registration),
         "points_date": None if result.dates is None else result.dates[1].isoformat(),
+        **_line_attributes(result),
     }
+
+
+def _line_attributes(result: Result) -> dict[str, Any]:
+    """None in a run without lines."""
+    if result.num_lines is None:
+        return {}
+    return {"lines_given": result.num_lines, "lines_used": result.reconstruction.num_lines_used}
 
 
 def _registration_attributes(registration: Registration | None) -> dict[str, Any]:

@@ -96,7 +96,7 @@ def _planes(fit: PlanesFit) -> Iterator[str]:
             f"{_saving(fit, number, cell[own])}"
         )
     if fit.num_known:
-        yield "* of the roof that a network supposes, or of the parametric building: points are too few to tell"
+        yield "* of a roof that a network supposes, the parametric building, or of lines of a map: there are few points"
 
 
 def _saving(fit: PlanesFit, number: int, own_cell: np.ndarray) -> str:

@@ -24,6 +24,7 @@ from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
+from p2wss.reconstruct.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import with_heights
@@ -36,6 +37,7 @@ CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.
 FootprintInput: TypeAlias = (
     "str | Path | gpd.GeoDataFrame | gpd.GeoSeries | shapely.Geometry | Sequence[shapely.Geometry]"
 )
+LineInput: TypeAlias = FootprintInput
 # what messages and outputs call data without a file
 _CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
 
@@ -47,7 +49,8 @@ class Inputs:
     name: of the outputs, after the first cloud. headers: of the clouds, files of folders included. points: the cloud if
     it is in memory. footprints: None where they are derived from the points. metric: the CRS of the run, ``crs``, and
     that of the clouds. terrain: in the CRS of the run, and its file. weights: of Point2WSS, None for none. completion:
-    whether another network may complete roofs of few points.
+    whether another network may complete roofs of few points. lines: of roofs, (l, 2, 2), in the CRS of the run, and the
+    name of their file; None for none.
     """
 
     name: str
@@ -59,6 +62,7 @@ class Inputs:
     terrain: tuple[Terrain, Path] | None
     weights: Path | None
     completion: bool
+    lines: tuple[np.ndarray, str] | None = None
 
     @property
     def crs(self) -> pyproj.CRS:
@@ -94,12 +98,13 @@ def check_inputs(
     terrain: str | Path | None = None,
     model: str | Path | None = None,
     may_be_empty: bool = False,
+    lines: LineInput | None = None,
 ) -> Inputs:
     """The inputs of a run, cheap checks first.
 
     crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of Point2WSS, "none" for
     no network at all; by default those that :func:`p2wss.nets.weights_file.weights_to_use` chooses. may_be_empty:
-    whether clouds and footprints may be without content, as in a tile.
+    whether clouds and footprints may be without content, as in a tile. lines: of roofs, as a map knows them.
 
     Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
     """
@@ -107,12 +112,13 @@ def check_inputs(
     if weights is not None:
         read_metadata(weights, "model")
     footprints = None if footprints is None else as_footprints(footprints)
+    lines = None if lines is None else as_footprints(lines, "lines")
     for path in (
         [cloud] if isinstance(cloud, str | Path) else cloud if isinstance(cloud, list | tuple) else []
     ):
         if str(path).lower().endswith(VECTOR):
             raise InputError(f"{path}: is a vector file, no point cloud; the order is: clouds, footprints")
-    for path in (footprints, terrain):
+    for path in (footprints, terrain, lines):
         if isinstance(path, str | Path) and not Path(path).exists():
             raise InputError(f"{path}: no such file")
     headers, points = open_clouds(cloud)
@@ -146,9 +152,11 @@ def check_inputs(
             raise InputError(
                 f"{terrain}: is in {heights_crs.name}, and has no cell at {names[0]}: is that its CRS?"
             )
-    return Inputs(
-        _name(cloud), headers, points, footprints, metric, raster, weights, str(model) != NO_NETWORK
-    )
+    of_roofs = None
+    if lines is not None:
+        of_roofs = (read_lines(lines, metric), lines.name if isinstance(lines, Path) else "lines")
+    completion = str(model) != NO_NETWORK
+    return Inputs(_name(cloud), headers, points, footprints, metric, raster, weights, completion, of_roofs)
 
 
 def _metric(
@@ -228,8 +236,9 @@ def _name(cloud: CloudInput) -> str:
     return output_stem(Path(first)) if isinstance(first, str | Path) else _CLOUD.name
 
 
-def as_footprints(footprints: FootprintInput) -> Path | gpd.GeoDataFrame:
-    """A file or a table of footprints, of what a user gives; polygons alone are numbered.
+def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path | gpd.GeoDataFrame:
+    """A file or a table of footprints, or of lines, as ``name`` says, of what a user gives; geometries alone are
+    numbered.
 
     Raises :class:`InputError` for what is neither.
     """
@@ -244,8 +253,8 @@ def as_footprints(footprints: FootprintInput) -> Path | gpd.GeoDataFrame:
         footprints.geometry  # noqa: B018
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"the footprints are a {type(footprints).__name__}; give a vector file, a GeoDataFrame or polygons,"
-            " after the cloud"
+            f"the {name} are a {type(footprints).__name__}; give a vector file, a GeoDataFrame or"
+            + (" polygons, after the cloud" if name == "footprints" else " LineStrings")
         ) from error
     return footprints
 

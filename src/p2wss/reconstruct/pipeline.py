@@ -31,13 +31,14 @@ from p2wss.reconstruct.processes import Shared
 from p2wss.reconstruct.product import flat_roofs, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, failed, result_of
+from p2wss.reconstruct.roof_lines import LINES
 from p2wss.reconstruct.spool import Lazy, Spool
 from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
 # columns that reading and cleaning add to the input's own
-_ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
+_ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m", LINES)
 # number of buildings that a network reconstructs together, as that is faster
 _NETWORK_BATCH = 256
 # points on the roofs around a building with few: enough to show planes
@@ -140,8 +141,15 @@ class Rows:
         names, status = features["building_id"].tolist(), features["status"].tolist()
         unknown = np.full(len(features), np.nan)
         stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
+        lines = features.columns.get(LINES)
 
         def row(i: int) -> Row:
+            registration = None if registrations is None else registrations[i]
+            line_m = None
+            if lines is not None:
+                # where the footprint is now
+                shift_m = np.zeros(2) if registration is None else registration.shift_m
+                line_m = lines[i] + shift_m - origin_xy_m[i]
             building = Building(
                 names[i],
                 self._tile,
@@ -151,8 +159,8 @@ class Rows:
                 np.zeros(0, np.uint8),
                 float("nan"),
                 stated_height_m[i],
+                line_m=line_m,
             )
-            registration = None if registrations is None else registrations[i]
             state = reasons.INTERNAL_ERROR if failure else status[i]
             return Row(int(numbers[i]), building, state, columns[i], registration, failure=failure)
 

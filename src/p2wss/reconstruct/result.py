@@ -73,6 +73,7 @@ class Result:
     (:class:`p2wss.reconstruct.ground.Grounds`).
     sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
     failure: of a building with the reason ``internal-error``, the traceback.
+    num_lines: of the lines that a map knows of its roof, how many there are; None in a run without.
     """
 
     reconstruction: Reconstruction
@@ -95,6 +96,7 @@ class Result:
     cause: str | None = None
     sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     failure: str = ""
+    num_lines: int | None = None
 
 
 def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> Result:
@@ -141,6 +143,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
         sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
         failure=row.failure,
+        num_lines=_num_lines(building),
     )
 
 
@@ -160,7 +163,12 @@ def failed(row: Row, method: str) -> Result:
         dates=row.dates,
         ground=row.ground,
         failure=row.failure,
+        num_lines=_num_lines(row.building),
     )
+
+
+def _num_lines(building: Building) -> int | None:
+    return None if building.line_m is None else len(building.line_m)
 
 
 def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
@@ -190,16 +198,20 @@ def summary(results: Iterable[Result | SceneBuilding]) -> str:
     """
     reasons: dict[str, Counter[str]] = {status: Counter() for status in ("ok", "flat", "none")}
     num_with_status: Counter[str] = Counter()
-    num_results = num_flagged = 0
+    num_results = num_flagged = num_lines = num_used = 0
     for result in results:
         num_results += 1
         num_with_status[result.status] += 1
         reasons[result.status].update(filter(None, [result.reason]))
         num_flagged += result.not_representable
+        if isinstance(result, Result) and result.num_lines:
+            num_lines += result.num_lines
+            num_used += result.reconstruction.num_lines_used
     parts = []
     for status, of_status in reasons.items():
         text = ", ".join(f"{reason}: {count}" for reason, count in sorted(of_status.items()))
         if num_with_status[status] or status == "ok":
             parts.append(f"{num_with_status[status]} {status}" + (f" ({text})" if text else ""))
     flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
-    return f"{num_results} buildings: " + ", ".join(parts) + flagged
+    lines = f"; of {num_lines} lines {num_used} used, {num_lines - num_used} unused" if num_lines else ""
+    return f"{num_results} buildings: " + ", ".join(parts) + flagged + lines

@@ -51,6 +51,7 @@ from p2wss.reconstruct.failures import Failures
 from p2wss.reconstruct.inputs import Inputs, read_outlines
 from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result, summary
+from p2wss.reconstruct.roof_lines import with_lines
 from p2wss.reconstruct.spool import Spool
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
@@ -388,6 +389,8 @@ def _reconstruct(
     log.debug("%d footprints read", len(features))
     features = cleaned(features, config)
     log.debug("%d footprints cleaned", len(features))
+    if inputs.lines is not None:
+        features = with_lines(features, inputs.lines[0])
     is_chosen = in_tile(features, tile, config.region.tile_size_m)
     is_chosen &= chosen(features, selection.ids, selection.bbox, inputs.footprints_name)
     area = Area(features, is_chosen, settings)
@@ -445,6 +448,8 @@ def _reconstruct(
         )
         facts["clouds"] = [header.path.name for header in inputs.headers]
         facts["footprints"] = None if inputs.footprints is None else inputs.footprints_name.name
+        if inputs.lines is not None:
+            facts["lines"] = inputs.lines[1]
         facts["terrain"] = None if inputs.terrain is None else inputs.terrain[1].name
         plants: list[vegetation.Plant] = []
         if around is not None:

@@ -1,4 +1,4 @@
-"""Record what Roofer makes of the evaluation's clouds: CityJSON per tile, and the hashes of their points.
+"""Record what Roofer makes of the evaluation's clouds: CityJSON per tile, and the hashes of their points and buildings.
 
     snakemake -c2 crops && python tests/mini/roofer/record.py [--command roofer] [--manifest ..] [--out ..]
 
@@ -40,7 +40,7 @@ def main() -> int:
                 sys.exit(f"{tile}: {failure}")
             for number, path in enumerate(paths):
                 (folder / f"{tile}.{number}.city.jsonl").write_bytes(path.read_bytes())
-        sketches[dataset][tile] = roofer.cloud_sketch(cases)
+        sketches[dataset][tile] = roofer.made_from(cases)
     text = json.dumps(sketches, sort_keys=True).replace("], ", "],\n").replace("}, ", "},\n")
     (arguments.out / roofer_command.CLOUDS).write_text(text + "\n")
     return 0

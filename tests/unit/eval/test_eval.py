@@ -263,11 +263,33 @@ def test_recorded_outputs_count_for_the_points_that_they_were_made_from(
         for one, other in zip(of(chosen), of(chosen, ran), strict=True):
             assert one.status == "ok" and np.array_equal(one.mesh.corner_m, other.mesh.corner_m)
         # another order of the buildings is the same cloud, and a few points less; moved by a centimetre, or of another
-        # class, it is another
+        # class, it is another: of a simulated building, other points of the same
+        other = {"recorded-of-other-points" if chosen[0].is_labelled else "recorded-of-other-clouds"}
         assert {row.status for row in of(chosen[::-1])} == {"ok"}
         assert changed(chosen, point_m=lambda p: p[1:], classification=lambda c: c[1:]) == {"ok"}
-        assert changed(chosen, point_m=lambda p: p + np.array([0, 0, 0.01])) == {"recorded-of-other-clouds"}
-        assert changed(chosen, classification=lambda c: c + np.uint8(1)) == {"recorded-of-other-clouds"}
+        assert changed(chosen, point_m=lambda p: p + np.array([0, 0, 0.01])) == other
+        assert changed(chosen, classification=lambda c: c + np.uint8(1)) == other
+        # a tenth less of them is another survey
+        few = changed(chosen, point_m=lambda p: p[::10] + 0.01, classification=lambda c: c[::10])
+        assert few == {"recorded-of-other-clouds"}
+    first, second, *_ = of_dataset["simulated"]
+    assert first.eave_height_m is not None and first.angle_deg is not None
+    truths = [
+        replace(first, eave_height_m=first.eave_height_m + 0.02),
+        replace(first, angle_deg=first.angle_deg + 1.0),
+        replace(first, building=replace(first.building, rings=[first.building.rings[0] + 0.02])),
+        replace(first, building=replace(first.building, building_id=second.building.building_id)),
+    ]
+    for truth in truths:
+        # of other points, so that each building counts by its truth
+        chosen = [truth, *of_dataset["simulated"][1:]]
+        chosen = [
+            replace(case, building=replace(case.building, point_m=case.building.point_m + 0.01))
+            for case in chosen
+        ]
+        rows = of(chosen)
+        assert (rows[0].status, rows[0].has_mesh) == ("recorded-of-other-clouds", False)
+        assert {row.status for row in rows[1:]} == {"recorded-of-other-points"} and rows[1].has_mesh
     # of a tile that is not listed nothing is recorded
     (tmp_path / "clouds.json").write_text("{}")
     assert of(of_dataset["real"]) == [] and of(of_dataset["simulated"]) == []
@@ -482,6 +504,11 @@ def test_buildings_without_a_record_are_not_failures() -> None:
         "no-roofer-mesh": "no mesh",
     }
     assert tables._title(runs[0], frame[:1]) == "Roofer (not run: not-recorded)"
+    # meshes that count, of other points: neither a failure nor a flat roof, and the column says so
+    frame.loc[3, "status"] = "recorded-of-other-points"
+    assert tables.without_mesh(frame, runs, {"real": "Real"}).equals(rows)
+    title = "Roofer (recorded, from other points of the same buildings)"
+    assert [tables._title(runs[0], part) for part in (frame, frame[3:])] == [title, title]
 
 
 HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b>"

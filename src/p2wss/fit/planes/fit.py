@@ -13,7 +13,15 @@ from p2wss.fit.directions import directions, edge_ends
 from p2wss.fit.planes.arrangement import Arrangement, TooManyPlacesError, arrange, by_member
 from p2wss.fit.planes.costs import Costs, candidates_of, costs_of
 from p2wss.fit.planes.detection import detect, height_over
-from p2wss.fit.planes.known import known_lines, known_places, known_planes
+from p2wss.fit.planes.known import (
+    known_lines,
+    known_places,
+    known_planes,
+    mapped_lines,
+    mapped_places,
+    mapped_planes,
+    num_on,
+)
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import Line, lines_of
 from p2wss.fit.planes.regularity import regular
@@ -42,7 +50,8 @@ class PlanesFit:
     """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
     there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof. is_simplified:
     whether the points show more planes than :class:`p2wss.fit.settings.Limits` allow. costs: what was compared.
-    point_m, at_plane: the points, and the plane of each, -1 for none. num_known: the last planes, of a known roof."""
+    point_m, at_plane: the points, and the plane of each, -1 for none. num_known: the last planes, of a known roof and
+    between lines of a map. num_lines_used: of these lines, those along which planes end."""
 
     plane: np.ndarray
     cells: Arrangement
@@ -55,6 +64,7 @@ class PlanesFit:
     point_m: np.ndarray
     at_plane: np.ndarray
     num_known: int
+    num_lines_used: int
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
         """(eave height of the largest body, angle in degrees of every edge): that of a plane which rises from its edge,
@@ -94,12 +104,14 @@ def fit_planes(
     around_m: np.ndarray | None = None,
     known: Mesh | None = None,
     supposed_m: np.ndarray | None = None,
+    line_m: np.ndarray | None = None,
 ) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
     closed. The last ``num_open`` points are of open ground: where they show it, there is no solid, if one without it is
     closed and in one piece. around_m: (k, 3), points on other roofs, which may have planes and lines in common with
     this one, as those of a row have. known: a roof with which the search begins, and whose planes and lines this one
-    may have. supposed_m: (s, 3), places all over the roof at heights that count as little as a few points."""
+    may have. supposed_m: (s, 3), places all over the roof at heights that count as little as a few points. line_m: (l,
+    2, 2), lines of a map; beside a known roof, planes may end there, and those that meet there are candidates."""
     area_m2, order = shapely.Polygon(rings[0], rings[1:]).area, even_order(point_m)
     max_num = min(int(settings.detection.max_per_m2 * area_m2) + 1, settings.limits.num_points)
     order = order[every_kth(len(order), max_num)]
@@ -127,15 +139,16 @@ def fit_planes(
     hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
     drawing = settings.drawing.for_density(density)
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
-    further = [] if known is None else known_lines(known)
+    # where points are many, they show these lines more exactly than a map
+    mapped: list[Line] = []
+    if known is not None and line_m is not None:
+        mapped = mapped_lines(line_m, drawing, settings.limits)
+    further = mapped if known is None else known_lines(known) + mapped
     drawn = _drawn(rings, plane, found.label, point_m, main, further, drawing, settings.limits)
     if drawn is None:
         return None
     num_shown, (plane, at_plane, cells) = len(plane), drawn
     num_found = len(plane)
-    if known is not None:
-        plane = np.vstack([plane, known_planes(known)])
-    num_known = len(plane) - num_found
     cell = cells.cells_at(point_m[:, :2])
     seen_m, of_cell, stands_m2 = point_m, cell, np.full(len(point_m), 1 / density)
     if supposed_m is not None and len(supposed_m):
@@ -144,9 +157,18 @@ def fit_planes(
         supposed_m2 = area_m2 * min(settings.prices.supposed_per_m2 / density, 1.0)
         stands_m2 = np.append(stands_m2, np.full(len(supposed_m), supposed_m2 / len(supposed_m)))
     at_m, number = point_m[at_plane >= 0, :2], at_plane[at_plane >= 0]
+    if mapped:
+        of_map = arrange(rings, mapped)
+        mapped_m, mapped_number = mapped_places(of_map)
+        at_m, number = np.vstack([at_m, mapped_m]), np.append(number, len(plane) + mapped_number)
+        plane = np.vstack([plane, mapped_planes(of_map, seen_m, stands_m2, settings.limits)])
+    num_known = 0
     if known is not None:
         known_m, known_number = known_places(known)
-        at_m, number = np.vstack([at_m, known_m]), np.append(number, num_found + known_number)
+        at_m, number = np.vstack([at_m, known_m]), np.append(number, len(plane) + known_number)
+        plane = np.vstack([plane, known_planes(known)])
+        # with those between lines of a map
+        num_known = len(plane) - num_found
     candidates = candidates_of(cells, at_m, number, seen_m[:, :2], of_cell, drawing.near_m)
     prices = settings.prices.for_density(density)
     costs = costs_of(cells, plane, seen_m, of_cell, stands_m2, prices, candidates, num_known)
@@ -158,9 +180,23 @@ def fit_planes(
         return None
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
-    is_simplified = num_found < num_shown
+    is_border = (cells.pair >= 0).all(axis=1) & (np.diff(built[cells.pair], axis=1)[:, 0] != 0)
+    num_used = 0
+    if line_m is not None:
+        num_used = num_on(line_m, cells.xy_m[cells.side[is_border]], drawing.mapped_on_m)
     return PlanesFit(
-        plane, cells, label, body, num_bodies, mesh, is_simplified, costs, point_m, at_plane, num_known
+        plane,
+        cells,
+        label,
+        body,
+        num_bodies,
+        mesh,
+        num_found < num_shown,
+        costs,
+        point_m,
+        at_plane,
+        num_known,
+        num_used,
     )
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cell_costs import all_costs
+from toy_roofs import sample
 
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.fit import fit_planes
-from p2wss.fit.planes.known import known_lines, known_planes
+from p2wss.fit.planes.arrangement import arrange
+from p2wss.fit.planes.detection import height_over, heights
+from p2wss.fit.planes.fit import PlanesFit, fit_planes
+from p2wss.fit.planes.known import known_lines, known_planes, mapped_lines, mapped_planes, num_on
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import ends_of
 from p2wss.fit.settings import Planes
@@ -73,3 +75,80 @@ def test_the_search_begins_with_the_known_planes() -> None:
     assert least_cost(costs).tolist() == [0, 0]
     assert least_cost(costs, 2).tolist() == [2, 2]
     assert least_cost(costs, 1).tolist() == [0, 0]
+
+
+GRID_M = np.stack(np.meshgrid(np.arange(0.5, 12), np.arange(0.5, 8)), -1).reshape(-1, 2)
+
+
+def error_m(fit: PlanesFit | None, mesh: Mesh) -> float:
+    """How far a fit is from a convex roof, on average."""
+    assert fit is not None
+    height_m = height_over(fit.plane, fit.label[fit.cells.cells_at(GRID_M)], GRID_M)
+    return float(np.abs(height_m - heights(known_planes(mesh), GRID_M).min(axis=1)).mean())
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_lines_of_a_map_show_what_few_points_do_not(seed: int) -> None:
+    """20 points on a hip roof, off by a decimetre, and its ridge and hips, of whose ends none meets another; the search
+    begins with a lower roof."""
+    mesh = roof(40, 40, 40, 40)
+    point_m = sample([RECTANGLE], [40] * 4, 4.0, 20, 0.1, seed=seed)
+    end_m = ends_of(known_lines(mesh))
+    end_m = 0.95 * end_m + 0.05 * end_m.mean(axis=1, keepdims=True)
+    low = roof(20, 20, 20, 20, eave_height_m=5.0)
+    alone, found = (
+        fit_planes([RECTANGLE], point_m, PLANES, known=low, line_m=each) for each in (None, end_m)
+    )
+    assert error_m(alone, mesh) > 0.2 and error_m(found, mesh) < 0.1
+    assert alone is not None and alone.num_lines_used == 0
+    assert found is not None and found.num_lines_used >= 4
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_line_of_a_map_that_points_contradict_is_not_used(seed: int) -> None:
+    """A ridge 2 m beside the true one, hips of a roof 1.5 m beside, and a line across a slope; the search begins with a
+    lower roof. Without it, as where points are many, lines of a map are no candidates."""
+    mesh = roof(40, 40, 40, 40)
+    point_m = sample([RECTANGLE], [40] * 4, 4.0, 90, 0.1, seed=seed)
+    low = roof(20, 20, 20, 20, eave_height_m=5.0)
+    alone = fit_planes([RECTANGLE], point_m, PLANES, known=low)
+    assert alone is not None
+    for end_m in (
+        np.array([[[2.0, 2.0], [10.0, 2.0]]]),
+        ends_of(known_lines(mesh)) + np.array([0.0, 1.5]),
+        np.array([[[6.0, 0.5], [6.0, 3.5]]]),
+    ):
+        found = fit_planes([RECTANGLE], point_m, PLANES, known=low, line_m=end_m)
+        assert found is not None and found.num_lines_used == 0
+        assert error_m(found, mesh) == pytest.approx(error_m(alone, mesh), abs=1e-3)
+
+
+def test_planes_between_the_lines_of_a_map_meet_there() -> None:
+    """Of an exact hip roof, two of whose slopes have a single point."""
+    mesh = roof(40, 40, 40, 40)
+    xy_m = np.array([(3.0, 1.0), (6.0, 2.0), (9.0, 1.5), (11.0, 4.0), (6.0, 7.0)])
+    point_m = np.column_stack([xy_m, heights(known_planes(mesh), xy_m).min(axis=1)])
+    cells = arrange([RECTANGLE], mapped_lines(ends_of(known_lines(mesh)), PLANES.drawing, PLANES.limits))
+    plane = mapped_planes(cells, point_m, np.full(len(point_m), 2.0), PLANES.limits)
+    assert len(plane) == 4
+    is_inner = (cells.pair >= 0).all(axis=1)
+    for one, other, ends in zip(*cells.pair[is_inner].T, cells.xy_m[cells.side[is_inner]], strict=True):
+        assert np.ptp(heights(plane[[one, other]], ends), axis=1).max() < 1e-4
+
+
+def test_a_step_that_points_show_remains_at_a_line() -> None:
+    """A low half, shown by four points, beside a high one: planes do not bend to meet."""
+    cells = arrange(
+        [RECTANGLE], mapped_lines(np.array([[[5.0, 0.5], [5.0, 7.5]]]), PLANES.drawing, PLANES.limits)
+    )
+    xy_m = np.array([(x, y) for x in (1.0, 4.0, 6.0, 11.0) for y in (1.0, 7.0)])
+    point_m = np.column_stack([xy_m, np.where(xy_m[:, 0] < 5, 3.0, 6.0)])
+    plane = mapped_planes(cells, point_m, np.full(8, 12.0), PLANES.limits)
+    assert plane[np.argsort(plane[:, 2])] == pytest.approx(np.array([[0, 0, 3.0], [0, 0, 6.0]]), abs=0.05)
+
+
+def test_a_line_is_used_where_edges_of_the_roof_are_along_half_of_it() -> None:
+    line_m = np.array([[[0.0, 0.0], [10.0, 0.0]], [[0.0, 3.0], [0.0, 9.0]]])
+    edge_m = np.array([[[4.0, 0.05], [1.0, 0.0]], [[7.0, -0.05], [12.0, 0.0]], [[0.0, 0.0], [0.0, 5.9]]])
+    assert [num_on(line_m, edge_m[:n], 0.1) for n in (1, 2, 3)] == [0, 1, 1]
+    assert num_on(line_m[:0], edge_m, 0.1) == 0 and num_on(line_m, edge_m[:0], 0.1) == 0

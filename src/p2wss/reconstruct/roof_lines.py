@@ -1,0 +1,62 @@
+"""Lines of roofs that a map knows, such as ridges and valleys: read, and given to the footprints in which they lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+from p2wss.data.crs import MetricCrs, reprojected
+from p2wss.footprints.vector_files import read_vector
+from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
+from p2wss.storage.log_lines import log
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+# column of features: the lines of each footprint, float64 (l, 2, 2)
+LINES = "p2wss_lines"
+# metres: a piece of a line this far within a footprint, and so long, is a line of its roof
+_INSIDE_M, _LEAST_M = 0.2, 0.5
+
+
+def read_lines(lines: Path | gpd.GeoDataFrame, metric: MetricCrs) -> np.ndarray:
+    """The straight pieces of the lines of a file or a table, in the CRS of a run, by their ends: (l, 2, 2). Heights are
+    left out.
+
+    Raises :class:`InputError` if the file is missing or broken, or has no lines.
+    """
+    name = str(lines) if isinstance(lines, Path) else "lines"
+    features = read_vector(lines, of="lines")[0] if isinstance(lines, Path) else Features.of(lines)
+    # of collections, too, whose parts may have parts
+    parts = shapely.get_parts(shapely.get_parts(shapely.force_2d(features.geometry)))
+    parts = parts[shapely.get_type_id(parts) == shapely.GeometryType.LINESTRING]
+    if not len(parts):
+        raise InputError(f"{name}: has no lines; lines of roofs must be LineStrings")
+    parts = reprojected(parts, features.crs or metric.source, metric.crs, name)
+    # vertices that bend a line by centimetres divide it in none
+    xy_m, line = shapely.get_coordinates(shapely.simplify(parts, _INSIDE_M / 4), return_index=True)
+    is_piece = (line[1:] == line[:-1]) & np.isfinite(xy_m[1:] + xy_m[:-1]).all(axis=1)
+    return np.stack([xy_m[:-1], xy_m[1:]], axis=1)[is_piece]
+
+
+def with_lines(features: Features, end_m: np.ndarray) -> Features:
+    """The footprints with the column :data:`LINES`: of lines (l, 2, 2), the pieces that lie in each."""
+    lines, inner = np.asarray(shapely.linestrings(end_m)), shapely.buffer(features.geometry, -_INSIDE_M)
+    row, line = shapely.STRtree(lines).query(inner, predicate="intersects")
+    order = np.lexsort((line, row))
+    row, line = row[order], line[order]
+    pieces, of_pair = shapely.get_parts(shapely.intersection(lines[line], inner[row]), return_index=True)
+    is_long = shapely.length(pieces) >= _LEAST_M
+    pieces, row = pieces[is_long], row[of_pair[is_long]]
+    ends = [shapely.get_coordinates(shapely.get_point(pieces, number)) for number in (0, -1)]
+    first = np.searchsorted(row, np.arange(len(features) + 1))
+    column = np.empty(len(features), object)
+    column[:] = np.split(np.stack(ends, axis=1), first[1:-1]) if len(features) else []
+    log.info(
+        "%d straight pieces of lines in %d of %d footprints", len(row), len(np.unique(row)), len(features)
+    )
+    return features.having(**{LINES: column})
