@@ -65,7 +65,7 @@ def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: st
 
 
 def _attributes(result: Result) -> dict[str, Any]:
-    reconstruction = result.reconstruction
+    reconstruction, given = result.reconstruction, result.num_lines
     angles = None
     if reconstruction.angle_deg is not None:
         angles = " ".join(f"{angle:g}" for angle in np.round(reconstruction.angle_deg, 2))
@@ -92,15 +92,8 @@ def _attributes(result: Result) -> dict[str, Any]:
         "overhang_m": _rounded(result.overhang_m),
         **_registration_attributes(result.registration),
         "points_date": None if result.dates is None else result.dates[1].isoformat(),
-        **_line_attributes(result),
+        **({} if given is None else {"lines_given": given, "lines_used": reconstruction.num_lines_used}),
     }
-
-
-def _line_attributes(result: Result) -> dict[str, Any]:
-    """None in a run without lines."""
-    if result.num_lines is None:
-        return {}
-    return {"lines_given": result.num_lines, "lines_used": result.reconstruction.num_lines_used}
 
 
 def _registration_attributes(registration: Registration | None) -> dict[str, Any]:

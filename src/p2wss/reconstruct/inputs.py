@@ -152,9 +152,8 @@ def check_inputs(
             raise InputError(
                 f"{terrain}: is in {heights_crs.name}, and has no cell at {names[0]}: is that its CRS?"
             )
-    of_roofs = None
-    if lines is not None:
-        of_roofs = (read_lines(lines, metric), lines.name if isinstance(lines, Path) else "lines")
+    name = lines.name if isinstance(lines, Path) else "lines"
+    of_roofs = None if lines is None else (read_lines(lines, metric), name)
     completion = str(model) != NO_NETWORK
     return Inputs(_name(cloud), headers, points, footprints, metric, raster, weights, completion, of_roofs)
 

@@ -145,11 +145,8 @@ class Rows:
 
         def row(i: int) -> Row:
             registration = None if registrations is None else registrations[i]
-            line_m = None
-            if lines is not None:
-                # where the footprint is now
-                shift_m = np.zeros(2) if registration is None else registration.shift_m
-                line_m = lines[i] + shift_m - origin_xy_m[i]
+            # lines are where the footprint was
+            before_m = origin_xy_m[i] - (np.zeros(2) if registration is None else registration.shift_m)
             building = Building(
                 names[i],
                 self._tile,
@@ -159,7 +156,7 @@ class Rows:
                 np.zeros(0, np.uint8),
                 float("nan"),
                 stated_height_m[i],
-                line_m=line_m,
+                line_m=None if lines is None else lines[i] - before_m,
             )
             state = reasons.INTERNAL_ERROR if failure else status[i]
             return Row(int(numbers[i]), building, state, columns[i], registration, failure=failure)

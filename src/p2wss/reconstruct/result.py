@@ -143,7 +143,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
         sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
         failure=row.failure,
-        num_lines=_num_lines(building),
+        num_lines=None if building.line_m is None else len(building.line_m),
     )
 
 
@@ -163,12 +163,8 @@ def failed(row: Row, method: str) -> Result:
         dates=row.dates,
         ground=row.ground,
         failure=row.failure,
-        num_lines=_num_lines(row.building),
+        num_lines=None if row.building.line_m is None else len(row.building.line_m),
     )
-
-
-def _num_lines(building: Building) -> int | None:
-    return None if building.line_m is None else len(building.line_m)
 
 
 def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:

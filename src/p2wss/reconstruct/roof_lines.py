@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 # column of features: the lines of each footprint, float64 (l, 2, 2)
 LINES = "p2wss_lines"
-# metres: a piece of a line this far within a footprint, and so long, is a line of its roof
-_INSIDE_M, _LEAST_M = 0.2, 0.5
+# metres: vertices that bend a line by less divide it in none
+_STRAIGHT_M = 0.05
 
 
 def read_lines(lines: Path | gpd.GeoDataFrame, metric: MetricCrs) -> np.ndarray:
@@ -37,20 +37,22 @@ def read_lines(lines: Path | gpd.GeoDataFrame, metric: MetricCrs) -> np.ndarray:
     if not len(parts):
         raise InputError(f"{name}: has no lines; lines of roofs must be LineStrings")
     parts = reprojected(parts, features.crs or metric.source, metric.crs, name)
-    # vertices that bend a line by centimetres divide it in none
-    xy_m, line = shapely.get_coordinates(shapely.simplify(parts, _INSIDE_M / 4), return_index=True)
+    xy_m, line = shapely.get_coordinates(shapely.simplify(parts, _STRAIGHT_M), return_index=True)
     is_piece = (line[1:] == line[:-1]) & np.isfinite(xy_m[1:] + xy_m[:-1]).all(axis=1)
     return np.stack([xy_m[:-1], xy_m[1:]], axis=1)[is_piece]
 
 
-def with_lines(features: Features, end_m: np.ndarray) -> Features:
-    """The footprints with the column :data:`LINES`: of lines (l, 2, 2), the pieces that lie in each."""
-    lines, inner = np.asarray(shapely.linestrings(end_m)), shapely.buffer(features.geometry, -_INSIDE_M)
+def with_lines(
+    features: Features, end_m: np.ndarray, inside_m: float = 0.2, least_m: float = 0.5
+) -> Features:
+    """The footprints with the column :data:`LINES`: of lines (l, 2, 2), the pieces that lie in each, by ``inside_m``
+    and with a length of ``least_m`` or more."""
+    lines, inner = np.asarray(shapely.linestrings(end_m)), shapely.buffer(features.geometry, -inside_m)
     row, line = shapely.STRtree(lines).query(inner, predicate="intersects")
     order = np.lexsort((line, row))
     row, line = row[order], line[order]
     pieces, of_pair = shapely.get_parts(shapely.intersection(lines[line], inner[row]), return_index=True)
-    is_long = shapely.length(pieces) >= _LEAST_M
+    is_long = shapely.length(pieces) >= least_m
     pieces, row = pieces[is_long], row[of_pair[is_long]]
     ends = [shapely.get_coordinates(shapely.get_point(pieces, number)) for number in (0, -1)]
     first = np.searchsorted(row, np.arange(len(features) + 1))

@@ -140,10 +140,9 @@ def fit_planes(
     drawing = settings.drawing.for_density(density)
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
     # where points are many, they show these lines more exactly than a map
-    mapped: list[Line] = []
-    if known is not None and line_m is not None:
-        mapped = mapped_lines(line_m, drawing, settings.limits)
-    further = mapped if known is None else known_lines(known) + mapped
+    line_m = np.zeros((0, 2, 2)) if line_m is None else line_m
+    mapped = [] if known is None else mapped_lines(line_m, drawing, settings.limits)
+    further = [] if known is None else known_lines(known) + mapped
     drawn = _drawn(rings, plane, found.label, point_m, main, further, drawing, settings.limits)
     if drawn is None:
         return None
@@ -181,9 +180,7 @@ def fit_planes(
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
     is_border = (cells.pair >= 0).all(axis=1) & (np.diff(built[cells.pair], axis=1)[:, 0] != 0)
-    num_used = 0
-    if line_m is not None:
-        num_used = num_on(line_m, cells.xy_m[cells.side[is_border]], drawing.mapped_on_m)
+    num_used = num_on(line_m, cells.xy_m[cells.side[is_border]], drawing.mapped_on_m)
     return PlanesFit(
         plane,
         cells,
