@@ -229,15 +229,15 @@ class _Notice(event.Listener):
 
     def __init__(self) -> None:
         self._depth, self._collects = 0, False
-        self._num_done, self._num_stored = 0, 0
-        self._progress: Any = None
+        self._num_done, self._progress = 0, None
 
     def on_start(self, compilation: Any) -> None:
-        if self._progress is None and isinstance(compilation.data["dispatcher"]._cache, _Cache):
+        if isinstance(compilation.data["dispatcher"]._cache, _Cache):
             from p2wss.storage.progress import Progress
 
-            self._num_stored = sum(each.is_stored for each in _Cache.of_all)
-            self._progress = Progress("compiling for this computer, once", 0, "functions")
+            self._progress = self._progress or Progress("compiling for this computer, once", 0, "functions")
+            # another process may have compiled some meanwhile
+            self._progress.total = self._num_done + sum(not each.is_stored for each in _Cache.of_all)
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
@@ -253,7 +253,6 @@ class _Notice(event.Listener):
             if compilation._exc_details is not None:
                 function.release()
             self._num_done += 1
-            self._progress.total = len(_Cache.of_all) - self._num_stored
             self._progress.update(self._num_done)
 
 
