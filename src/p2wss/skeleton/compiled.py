@@ -229,7 +229,8 @@ class _Notice(event.Listener):
 
     def __init__(self) -> None:
         self._depth, self._collects = 0, False
-        self._num_done, self._progress = 0, None
+        self._num_done = 0
+        self._progress: Any = None
 
     def on_start(self, compilation: Any) -> None:
         if isinstance(compilation.data["dispatcher"]._cache, _Cache):
