@@ -34,8 +34,6 @@ COMPILE = """
 import collections, json, time
 from numba.core import event
 from p2wss.reconstruct import warm_up
-from p2wss.skeleton import compiled
-compiled.expect_compilation()
 class Names(event.Listener):
     names = collections.Counter()
     def on_start(self, begun):
@@ -43,7 +41,7 @@ class Names(event.Listener):
         self.names[f"{function.__module__}.{function.__qualname__}"] += function.__module__.startswith("p2wss.")
     def on_end(self, ended): pass
 event.register("numba:compile", Names())
-for task in (*warm_up.TASKS, warm_up.warm_product):
+for task in warm_up.TASKS:
     task()
 print(json.dumps({"cpu_s": time.process_time(), "compiled": +Names.names}))
 """

@@ -36,13 +36,9 @@ def doctor() -> None:
     from p2wss.reconstruct.warm_up import marker
 
     compiled, scratch = marker(with_scans=False), tempfile.gettempdir()
-    state = "in the first run, up to a minute each: no folder can be written"
+    state = "compiled anew by each run: no folder can be written"
     if compiled is not None:
-        state = (
-            "all"
-            if compiled.exists()
-            else "not all: the rest once it is needed, or now by p2wss warm-up, in a minute"
-        )
+        state = "all" if compiled.exists() else "not all: the rest once it is needed, or now by p2wss warm-up"
     rows = {
         "p2wss": f"{p2wss.__version__}, Python {platform.python_version()}, {platform.machine()}",
         "cores": str(os.cpu_count()),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from itertools import takewhile
 from typing import Any
@@ -30,7 +30,7 @@ FACE_COLORS = {
 }
 # what the attributes of a building say of it, as the legend has it
 OK, FLAGGED, FLAT, NONE = "ok", "flagged", "flat", "none"
-PLANT_COLOR, GROUND_COLOR = "#5f9350", "#cfd4c9"
+PLANT_COLOR, OTHER_COLOR, GROUND_COLOR = "#5f9350", "#b9b4ab", "#cfd4c9"
 # of the files that are compared with the first
 OTHER_COLORS = ("#2a6f97", "#3f7d4e", "#b8a13c", "#6c757d")
 # attribute: title of its column in the table, the first of them is sorted by
@@ -61,10 +61,11 @@ OUTLINES = Layer("outlines", "Footprints without a mesh", "#b3261e", is_ours=Fal
 
 @dataclass(frozen=True)
 class Place:
-    """What is around the buildings of a scene, and how to read it. plants, ground: in the frame of the buildings; they
-    can be hidden. crs: its name. meanings: of reasons, causes and flags."""
+    """What is around the buildings of a scene, and how to read it. plants, others (buildings without attributes),
+    ground: in the frame of the buildings; they can be hidden. crs: its name. meanings: of reasons, causes and flags."""
 
     plants: Sequence[Mesh] = ()
+    others: Sequence[Mesh] = ()
     ground: Mesh | None = None
     crs: str = ""
     meanings: Mapping[str, str] = field(default_factory=dict)
@@ -104,6 +105,13 @@ def viewer(
     if place.plants:
         crowns = Mesh.joined(place.plants)
         around.append({"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(crowns)})
+    if place.others:
+        shapes = Mesh.joined(place.others)
+        seen = shapes.kind != FaceKind.GROUND
+        shapes = replace(
+            shapes, triangle=shapes.triangle[seen], kind=shapes.kind[seen], label=shapes.label[seen]
+        )
+        around.append({"key": "others", "name": "Other buildings", "color": OTHER_COLOR, **_mesh(shapes)})
     if place.ground is not None:
         around.append({"key": "ground", "name": "Ground", "color": GROUND_COLOR, **_mesh(place.ground)})
     data = {

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from p2wss.data.terrain import Terrain
     from p2wss.reconstruct.scene import Scene, SceneBuilding
 
-# more would make a page slow: the others are in the table of the run
-MAX_BUILDINGS, MAX_POINTS, MAX_PLANTS = 2000, 300_000, 5000
+# more would make a page slow: the others are shapes without attributes, and in the table of the run
+MAX_BUILDINGS, MAX_OTHERS, MAX_POINTS, MAX_PLANTS = 2000, 18_000, 300_000, 5000
 GROUND_MARGIN_M, NUM_GROUND_CELLS = 25.0, 80
 _ABOVE_GROUND_M = 0.5
 # places whose distances to all buildings are in memory
@@ -55,6 +55,8 @@ def page_of_run(
     """The HTML of a run. stem: of the names of its files. facts: of its provenance. plants, terrain: in the CRS."""
     worst = np.argsort([-np.nan_to_num(result.residual_m, nan=-1.0) for result in results], kind="stable")
     chosen = [results[number] for number in np.sort(worst[:MAX_BUILDINGS])]
+    rest = (results[number].reconstruction for number in worst[MAX_BUILDINGS:][:MAX_OTHERS])
+    others = [each.placed_mesh for each in rest if each.has_mesh]
     position_m = [result.reconstruction.position_m for result in chosen]
     origin_m, heights = _origin_m(position_m), _heights(position_m, terrain)
     every = stride(sum(len(result.sample_m) for result in chosen), MAX_POINTS)
@@ -69,7 +71,7 @@ def page_of_run(
     layers = [Layer(_OURS, "Meshes", "#c8603a", is_ours=True)]
     if any(OUTLINES.key in each.meshes for each in buildings):
         layers.append(OUTLINES)
-    place = _place(plants, buildings, origin_m, heights, horizontal(crs).name)
+    place = _place(plants, others, buildings, origin_m, heights, horizontal(crs).name)
     return viewer.scene_page(stem, sentences, buildings, layers, shifts, place)
 
 
@@ -90,8 +92,10 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
     residual_m = {
         each: of_id[first].attributes.get("residual_m") for each, of_id in by_id.items() if first in of_id
     }
-    worst = sorted(by_id, key=lambda each: -(residual_m.get(each) or 0.0))[:MAX_BUILDINGS]
-    chosen = {building_id: by_id[building_id] for building_id in worst}
+    worst = sorted(by_id, key=lambda each: -(residual_m.get(each) or 0.0))
+    chosen = {building_id: by_id[building_id] for building_id in worst[:MAX_BUILDINGS]}
+    rest = (by_id[each].get(first) for each in worst[MAX_BUILDINGS:][:MAX_OTHERS])
+    others = [each.solid for each in rest if each is not None and each.solid is not None]
     solids = [[each.solid for each in of.values() if each.solid is not None] for of in chosen.values()]
     origin_m = _origin_m([solid.vertex_m.min(axis=0) for members in solids for solid in members])
     plans = [
@@ -122,7 +126,7 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
         for solid in members
     ]
     crs, heights = scenes[first].crs, _heights(position_m, None)
-    place = _place(plants, buildings, origin_m, heights, "" if crs is None else horizontal(crs).name)
+    place = _place(plants, others, buildings, origin_m, heights, "" if crs is None else horizontal(crs).name)
     return viewer.scene_page(title, sentences, buildings, layers, place=place)
 
 
@@ -133,15 +137,22 @@ def _origin(facts: Mapping[str, Any]) -> str:
 
 
 def _place(
-    plants: Sequence[Mesh], buildings: Sequence[Shown], origin_m: np.ndarray, heights: Heights, crs: str
+    plants: Sequence[Mesh],
+    others: Sequence[Mesh],
+    buildings: Sequence[Shown],
+    origin_m: np.ndarray,
+    heights: Heights,
+    crs: str,
 ) -> Place:
     """crs: its name."""
     crowns = [plant.translated(-origin_m) for plant in plants[:: stride(len(plants), MAX_PLANTS)]]
-    corner_m = [mesh.vertex_m[:, :2] for building in buildings for mesh in building.meshes.values()]
+    shapes = [other.translated(-origin_m) for other in others]
+    meshes = [*shapes, *(mesh for building in buildings for mesh in building.meshes.values())]
+    corner_m = [mesh.vertex_m[:, :2] for mesh in meshes]
     ground = (
         _ground(np.concatenate(corner_m) + origin_m[:2], heights).translated(-origin_m) if corner_m else None
     )
-    return Place(crowns, ground, crs, reasons.MEANINGS | reasons.FLAGS | reasons.CAUSES)
+    return Place(crowns, shapes, ground, crs, reasons.MEANINGS | reasons.FLAGS | reasons.CAUSES)
 
 
 def _heights(position_m: Sequence[np.ndarray], terrain: Terrain | None) -> Heights:
@@ -214,7 +225,9 @@ def _points_of(plans: Sequence[shapely.Geometry], cloud: Cloud | None) -> list[n
 def _left_out(num_buildings: int) -> list[str]:
     if num_buildings <= MAX_BUILDINGS:
         return []
-    return [f"This page shows {MAX_BUILDINGS} buildings, those that are the farthest from their points."]
+    sentence = f"The {MAX_BUILDINGS} buildings that are the farthest from their points can be chosen here; "
+    num_without = max(num_buildings - MAX_BUILDINGS - MAX_OTHERS, 0)
+    return [sentence + ("the others are grey." if not num_without else f"{num_without} are left out.")]
 
 
 def _origin_m(position_m: Sequence[np.ndarray]) -> np.ndarray:

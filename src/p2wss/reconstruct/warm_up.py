@@ -1,17 +1,14 @@
 """Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings.
 
-The tasks are independent and may run in separate processes; two may compile the same function at once, because
-each function is compiled for one set of types. Imports are inside, so that each loads only what it needs.
+Each function is compiled for one set of types. Imports are inside, so that each task loads only what it needs.
 """
 
 from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from importlib.util import find_spec
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,25 +22,6 @@ if TYPE_CHECKING:
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"
-
-
-Task = Callable[[], None]
-
-
-def run_tasks(first: Sequence[Task], last: Task, jobs: int, progress: Callable[[int], object]) -> None:
-    """Run tasks in processes, ``last`` once all of ``first`` are done. progress: called with how many are."""
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin) as pool:
-        for num_done, future in enumerate(as_completed([pool.submit(task) for task in first]), 1):
-            future.result()
-            progress(num_done)
-        pool.submit(last).result()
-        progress(len(first) + 1)
-
-
-def _begin() -> None:
-    from p2wss.skeleton.compiled import expect_compilation
-
-    expect_compilation()
 
 
 def marker(with_scans: bool) -> Path | None:
@@ -131,7 +109,7 @@ def warm_product() -> None:
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
 
 
-TASKS = (warm_footprints_and_meshes, warm_network_input)
+TASKS = (warm_footprints_and_meshes, warm_network_input, warm_product)
 
 
 def sample() -> tuple[Features, Cloud]:

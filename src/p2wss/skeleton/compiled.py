@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, cached_property
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+from zlib import crc32
 
 import numpy as np
 from llvmlite import binding
@@ -32,6 +35,11 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.runtime._nrt_python import c_helpers
 from numba.np import linalg
+
+try:
+    import fcntl
+except ModuleNotFoundError:  # Windows: two processes may compile the same function
+    fcntl: Any = None  # type: ignore[no-redef]
 
 # before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
 linalg.ensure_blas = lambda: None
@@ -118,14 +126,33 @@ def cache_folder() -> Path | None:
     return None if locator is None else Path(locator.get_cache_path())
 
 
+@cache
+def _log_once(text: str) -> None:
+    log.info(text)
+
+
+@cache
+def _lock_file() -> int:
+    folder = cache_folder() or Path()
+    folder.mkdir(parents=True, exist_ok=True)
+    return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT, 0o666)
+
+
 class _Cache:
     """The cache of one function. It is opened when the function is called, and loads machine code without what only the
-    compiler needs: that takes a tenth of a second and 30 MB, and the compiler loads it itself."""
+    compiler needs: that takes a tenth of a second and 30 MB, and the compiler loads it itself.
+
+    While a process compiles a function, it locks one byte of a file beside the cache. Others wait and load the result.
+    """
+
+    of_all: ClassVar[list[_Cache]] = []
 
     def __init__(self, function: Callable) -> None:
         self._function = function
+        self._byte = crc32(f"{function.__module__}.{function.__qualname__}".encode())
         # of what is imported now, and not when it is called
         _digest_of_sources(Path(function.__code__.co_filename))
+        self.of_all.append(self)
 
     @cached_property
     def _opened(self) -> FunctionCache | None:
@@ -133,25 +160,53 @@ class _Cache:
         config.CACHE_LOCATOR_CLASSES = f"{__name__}.{CacheLocator.__name__}"
         try:
             return FunctionCache(self._function)
-        except RuntimeError:  # no folder to write to: every process compiles anew
-            _notice.is_cached = False
+        except RuntimeError:  # no folder to write to
+            _log_once("each run compiles anew: set NUMBA_CACHE_DIR to a folder that can be written")
             return None
         finally:
             config.CACHE_LOCATOR_CLASSES = before
+
+    @property
+    def is_stored(self) -> bool:
+        return self._opened is not None and os.path.exists(self._opened._cache_file._index_path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         # what machine code calls: allocation, for instance
         for name, address in c_helpers.items():
             binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
         result: Any = self._opened and self._opened._load_overload(sig, target_context)
+        if result is None and self._opened:
+            self._wait()
+            result = self._opened._load_overload(sig, target_context)
+            if result is not None:
+                self.release()
         bitcode = result and result.library._shared_module
         if bitcode and next(bitcode.functions, None) is None:
             result.library.__class__ = _Alone  # it has names only
         return result
 
+    def _wait(self) -> None:
+        """Until no other process compiles this function; it is then for this one to compile."""
+        if fcntl is None:
+            return
+        try:
+            try:
+                fcntl.lockf(_lock_file(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._byte)
+            except (BlockingIOError, PermissionError):
+                _log_once("another process compiles for this computer; waiting for it")
+                fcntl.lockf(_lock_file(), fcntl.LOCK_EX, 1, self._byte)
+        except OSError as error:  # a file system without locks
+            log.debug("compiling without a lock: %s", error)
+
+    def release(self) -> None:
+        if fcntl is not None and self._opened:
+            with suppress(OSError):
+                fcntl.lockf(_lock_file(), fcntl.LOCK_UN, 1, self._byte)
+
     def save_overload(self, sig: Any, data: Any) -> None:
         if self._opened:
             self._opened.save_overload(sig, data)
+            self.release()
 
 
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
@@ -166,27 +221,24 @@ def _compiled(**options: Any) -> Callable[[Callable], Any]:
     return decorate
 
 
-_ONCE = "once, up to a minute; p2wss warm-up does it ahead"
-_EACH_TIME = "up to a minute, every time: set NUMBA_CACHE_DIR to a folder that can be written"
-
-
 class _Notice(event.Listener):
-    """Logs, once in a process, that functions of p2wss are being compiled, which takes up to a minute.
+    """Logs how many functions of p2wss are compiled, where that takes longer than a few seconds.
 
     The garbage collector is off meanwhile: searching the objects of the compiler takes a tenth of the time.
     """
 
     def __init__(self) -> None:
-        self.is_logged, self.is_cached = False, True
         self._depth, self._collects = 0, False
+        self._num_done = 0
+        self._progress: Any = None
 
     def on_start(self, compilation: Any) -> None:
-        if (
-            not self.is_logged
-            and compilation.data["dispatcher"].py_func.__module__.partition(".")[0] == "p2wss"
-        ):
-            self.is_logged = True
-            log.info("compiling for this computer (%s)", _ONCE if self.is_cached else _EACH_TIME)
+        if isinstance(compilation.data["dispatcher"]._cache, _Cache):
+            from p2wss.storage.progress import Progress
+
+            self._progress = self._progress or Progress("compiling for this computer, once", 0, "functions")
+            # another process may have compiled some meanwhile
+            self._progress.total = self._num_done + sum(not each.is_stored for each in _Cache.of_all)
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
@@ -196,15 +248,17 @@ class _Notice(event.Listener):
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
+        function = compilation.data["dispatcher"]._cache
+        if isinstance(function, _Cache):
+            # is_failed says the opposite, up to numba 0.68
+            if compilation._exc_details is not None:
+                function.release()
+            self._num_done += 1
+            self._progress.update(self._num_done)
 
 
 _notice = _Notice()
 event.register("numba:compile", _notice)
-
-
-def expect_compilation() -> None:
-    """This process compiles on purpose, so that no message is needed."""
-    _notice.is_logged = True
 
 
 class _PartOfCallers(JITCodeLibrary):

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+import p2wss
 from p2wss import cli
+from p2wss.reconstruct import page
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,21 @@ def test_files_of_any_program_are_compared_on_a_page(demo: Path, tmp_path: Path)
         assert set(each["meshes"]) == {"other.city.json", "lidar.city.json"}
         # measured on other points of the same building
         assert each["attributes"]["residual_m"] == pytest.approx(by_id[each["id"]]["residual"], abs=0.05)
+
+
+def test_of_many_buildings_the_others_are_shapes(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    count = len(buildings(demo / "out/lidar.html"))
+    scene = p2wss.read(demo / "out/lidar.city.json")
+    text, shapes = [], []
+    for num_others in (count - 5, 1):
+        monkeypatch.setattr(page, "MAX_BUILDINGS", 5)
+        monkeypatch.setattr(page, "MAX_OTHERS", num_others)
+        text.append(page.page_of_scenes("town", {"town": scene}, None))
+        data = json.loads(text[-1].split('id="viewer-data">')[1].split("</script>")[0])
+        assert len(data["buildings"]) == 5
+        shapes += [each for each in data["around"] if each["key"] == "others"]
+    assert "the others are grey" in text[0] and f"{count - 6} are left out" in text[1]
+    assert len(shapes[0]["triangles"]) > 10 * len(shapes[1]["triangles"]) > 0
 
 
 def test_what_is_no_cityjson_is_named(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:

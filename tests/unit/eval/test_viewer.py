@@ -290,6 +290,34 @@ def test_crowns_can_be_hidden_and_a_click_goes_through_them(browser: Any, scene:
     assert changed(before, view.pixels()) > 0.02 and view.messages == []
 
 
+def test_buildings_without_attributes_are_drawn_and_not_while_the_picture_turns(
+    browser: Any, tmp_path: Path
+) -> None:
+    house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
+    mesh = Mesh.of_triangles(house.vertices, np.asarray(house.faces))
+    points, path = np.zeros((0, 3)), tmp_path / "scene.html"
+    place = Place(others=[mesh.translated(np.array([14.0, 0, 0]))])
+    shown = [
+        Shown("a", {"m": mesh}, points, np.zeros(0)),
+        Shown("b", {"m": mesh.translated(np.array([28.0, 0, 0]))}, points, np.zeros(0)),
+    ]
+    path.write_text(scene_page("street", [], shown, [Layer("m", "Meshes", "#c8603a", True)], place=place))
+    view = Page(browser.new_page(viewport={"width": 1200, "height": 1000}), path)
+    view.page.locator("#viewer canvas").click()
+    assert view.building == ""
+    # the browser of the tests has no graphics card
+    before, box = view.pixels(), view.page.locator("#viewer canvas").bounding_box()
+    view.page.mouse.move(box["x"] + 5, box["y"] + 5)
+    view.page.mouse.down()
+    view.page.mouse.move(box["x"] + 6, box["y"] + 5)
+    turning = view.pixels()
+    view.page.mouse.up()
+    others = view.page.locator("#viewer input[name=others]")
+    assert changed(before, turning) > changed(before, view.pixels()) + 0.005 and others.is_checked()
+    others.uncheck()
+    assert changed(before, view.pixels()) > 0.02 and view.messages == []
+
+
 def test_a_click_on_a_building_or_its_row_shows_its_attributes(browser: Any, scene: Path) -> None:
     view = Page(browser.new_page(viewport={"width": 1200, "height": 1000}), scene)
     first, panel = view.pixels(), view.page.locator(".attributes")

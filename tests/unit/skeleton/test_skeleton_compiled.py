@@ -13,34 +13,45 @@ from numba.core import event
 
 import p2wss.skeleton
 from p2wss.skeleton.compiled import both, entry
+from p2wss.storage import log_lines, progress
 
 NOTICE = "compiling for this computer"
 
 
 def run(folder: Path, before: str = "", after: str = "", **more: str) -> tuple[int, str]:
     """What a process returns, and its log. before, after: what it does before and after the call."""
-    command = (
-        "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
-        f"import p2wss.skeleton.probe as probe; {before}\nprint(probe.outer(1)); {after}"
-    )
     done = subprocess.run(
-        [sys.executable, "-c", command],
+        [sys.executable, "-c", script(before, after)],
         env={**os.environ, "PYTHONPATH": str(folder), **more},
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
         cwd=folder,
     )
+    assert not done.returncode, done.stderr
     return int(done.stdout), done.stderr
 
 
+def script(before: str, after: str) -> str:
+    return (
+        "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
+        "import p2wss.storage.progress; p2wss.storage.progress.INTERVAL_S = 0\n"
+        f"import p2wss.skeleton.probe as probe; {before}\nprint(probe.outer(1)); {after}"
+    )
+
+
 def package(folder: Path) -> Path:
-    """A copy of nothing but the decorators, with a function in one file that calls one in another."""
+    """A copy of the decorators and of what shows their progress, with a function in one file that calls one in
+    another."""
     skeleton = folder / "p2wss" / "skeleton"
     skeleton.mkdir(parents=True)
-    (folder / "p2wss" / "__init__.py").touch()
-    (skeleton / "__init__.py").touch()
     shutil.copy(Path(p2wss.skeleton.__file__).with_name("compiled.py"), skeleton)
+    storage = folder / "p2wss" / "storage"
+    storage.mkdir()
+    for each in (skeleton.parent, skeleton, storage):
+        (each / "__init__.py").touch()
+    for module in (progress, log_lines):
+        shutil.copy(module.__file__, storage)
     (skeleton / "called.py").write_text(
         "from p2wss.skeleton.compiled import inner\n@inner\ndef add(x):\n    return x + 1\n"
     )
@@ -55,7 +66,7 @@ def test_an_edit_in_another_file_is_noticed(tmp_path):
     skeleton = package(tmp_path)
     cache = tmp_path / "cache"
     result, log = run(tmp_path, NUMBA_CACHE_DIR=str(cache))
-    assert result == 2 and log.count(NOTICE) == 1  # for two functions
+    assert result == 2 and log == f"{NOTICE}, once: 1 of 2 functions\n"
     before = {path.name for path in cache.rglob("*.nb?")}
     assert run(tmp_path, NUMBA_CACHE_DIR=str(cache)) == (2, "")
     assert {path.name for path in cache.rglob("*.nb?")} == before and len(before) == 4
@@ -73,6 +84,37 @@ def test_what_was_edited_between_import_and_call_is_compiled_again(tmp_path):
     assert run(tmp_path, edit, NUMBA_CACHE_DIR=cache)[0] == 2
     result, log = run(tmp_path, NUMBA_CACHE_DIR=cache)
     assert result == 18 and NOTICE in log
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="nothing is locked there")
+def test_of_two_processes_at_once_one_compiles(tmp_path):
+    package(tmp_path)
+    count = (
+        "from numba.core import event; num_compiled = 0\n"
+        "class Count(event.Listener):\n"
+        "    def on_end(self, ended): pass\n"
+        "    def on_start(self, begun):\n"
+        "        global num_compiled; num_compiled += 1\n"
+    )
+    also = "event.register('numba:compile', Count())"
+    second = script(count + also, "print(num_compiled)")
+    # the first one, compiling, starts the second, and goes on once that waits
+    start = (
+        "        if num_compiled == 1:\n"
+        "            import subprocess, sys; global other; other = subprocess.Popen(\n"
+        f"                [sys.executable, '-c', {second!r}], stdout=-1, stderr=-1, text=True)\n"
+        "            assert 'another process' in other.stderr.readline()\n"
+    )
+    check = "assert (found := (num_compiled, *other.communicate())) == (2, '2\\n0\\n', ''), found"
+    assert run(tmp_path, count + start + also, check, NUMBA_CACHE_DIR=str(tmp_path / "cache"))[0] == 2
+
+
+def test_what_does_not_compile_is_locked_no_longer(tmp_path):
+    package(tmp_path)
+    wrong = "\ntry: probe.outer('a')\nexcept Exception: pass"
+    other = f"[sys.executable, '-c', {script(wrong, '')!r}], check=True, stdout=-1"
+    before = f"{wrong}\nimport subprocess, sys; subprocess.run({other})"
+    assert run(tmp_path, before, NUMBA_CACHE_DIR=str(tmp_path / "cache"))[0] == 2
 
 
 def test_cached_code_is_loaded_without_the_compiler(tmp_path):

@@ -28,7 +28,12 @@
   const PALETTE = ["#2a6f97", "#c8603a", "#7fa88b", "#b8a13c", "#7b5ea7", "#d98e04", "#5b8c85", "#a04668"];
   const UNITS = { m: "m", m2: "m²", m3: "m³", deg: "°" };
 
-  const decoded = (text, Kind) => new Kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+  function decoded(text, Kind) {
+    const characters = atob(text);
+    const bytes = new Uint8Array(characters.length);
+    for (let i = 0; i < bytes.length; i++) bytes[i] = characters.charCodeAt(i);
+    return new Kind(bytes.buffer);
+  }
 
   // no conversion of colours: the same as in the page's other pictures
   THREE.ColorManagement.enabled = false;
@@ -56,6 +61,17 @@
     controls = new THREE.OrbitControls(camera, canvas);
     controls.maxPolarAngle = 0.55 * Math.PI;
     controls.addEventListener("change", draw);
+    const context = renderer.getContext();
+    const about = context.getExtension("WEBGL_debug_renderer_info");
+    if (about && /swiftshader|llvmpipe|software|basic render/i.test(context.getParameter(about.UNMASKED_RENDERER_WEBGL))) {
+      // without a graphics card the picture would not follow the pointer
+      const show = (are) => () => {
+        const others = parts.getObjectByName("others");
+        if (others) others.visible = are && visible.others;
+      };
+      controls.addEventListener("start", show(false));
+      controls.addEventListener("end", () => (show(true)(), draw()));
+    }
   }
 
   const stops = RAMP.map((color) => new THREE.Color(color));
@@ -101,6 +117,16 @@
     const material = new THREE.PointsMaterial({ size, sizeAttenuation: false });
     material.vertexColors = true;
     return new THREE.Points(geometry, material);
+  }
+
+  // in one colour and without edges, so that triangles can share vertices
+  function shapesOf(mesh) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(decoded(mesh.vertices, Int32Array)), 3));
+    geometry.setIndex(new THREE.BufferAttribute(decoded(mesh.triangles, Uint32Array), 1));
+    const shapes = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: mesh.color, flatShading: true }));
+    shapes.scale.setScalar(0.001); // of millimetres
+    return shapes;
   }
 
   function meshOf(members, method) {
@@ -320,7 +346,7 @@
       descriptions.push(`${method.name}: ${all}`);
     }
     // not of a building
-    for (const around of data.around) add(meshOf([[null, around]], around), around.key);
+    for (const around of data.around) add(around.key === "others" ? shapesOf(around) : meshOf([[null, around]], around), around.key);
     scene.add(parts);
     layers.replaceChildren(
       toggle("points", `Points: 0 to ${REACH} m from the mesh`, gradient),
@@ -534,14 +560,17 @@
   if (!renderer) return;
   dress(together && window.matchMedia("(prefers-color-scheme: dark)").matches);
   root.querySelector(".reset").addEventListener("click", () => aim(shown));
-  new ResizeObserver(() => {
+  function fit() {
     const { clientWidth, clientHeight } = canvas;
-    if (!clientWidth || !clientHeight) return;
+    const size = renderer.getSize(new THREE.Vector2());
+    if (!clientWidth || !clientHeight || (size.x === clientWidth && size.y === clientHeight)) return false;
     renderer.setSize(clientWidth, clientHeight, false);
     camera.aspect = clientWidth / clientHeight;
     camera.updateProjectionMatrix();
-    draw();
-  }).observe(canvas);
-  camera.aspect = canvas.clientWidth / canvas.clientHeight || 1;
+    return true;
+  }
+  // of a large scene, a first picture in another size takes a second
+  fit();
+  new ResizeObserver(() => fit() && draw()).observe(canvas);
   show(together ? data.buildings.map((_, index) => index) : [0]);
 })();
