@@ -24,7 +24,8 @@ def footprints() -> gpd.GeoDataFrame:
 
 
 def test_size() -> None:
-    assert sum(path.stat().st_size for path in MINI.rglob("*") if path.is_file()) <= 5_000_000
+    # of which recorded outputs of Roofer, so that a clone has all columns of the report, take 1.3 MB
+    assert sum(path.stat().st_size for path in MINI.rglob("*") if path.is_file()) <= 6_000_000
 
 
 @pytest.fixture(scope="module")
