@@ -222,13 +222,15 @@ class PlanePrices(NamedTuple):
 class Limits(NamedTuple):
     """The most that the search for planes of one building takes, so that its memory is bounded: of more points an even
     sample, of more planes the largest, half of them where their lines are more or cross in more places; of more lines
-    of a map the longest, and for the planes between these an even sample of points and so many rounds of weights."""
+    of a map the longest, half of them where they cross in more places, and for the planes between these an even sample
+    of points and so many rounds of weights."""
 
     num_points: int = 300_000
     num_planes: int = 2_000
     num_lines: int = 8_000
     num_places: int = 100_000
     num_mapped_lines: int = 200
+    num_mapped_places: int = 300
     num_mapped_points: int = 4_000
     num_mapped_rounds: int = 12
 

@@ -14,10 +14,10 @@ from p2wss.fit.planes.arrangement import Arrangement, TooManyPlacesError, arrang
 from p2wss.fit.planes.costs import Costs, candidates_of, costs_of
 from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.known import (
+    between_lines,
     known_lines,
     known_places,
     known_planes,
-    mapped_lines,
     mapped_places,
     mapped_planes,
     num_on,
@@ -141,8 +141,10 @@ def fit_planes(
     drawing = drawing._replace(reach_m=max(drawing.reach_m, hidden_m))
     # where points are many, they show these lines more exactly than a map
     line_m = np.zeros((0, 2, 2)) if line_m is None else line_m
-    mapped = [] if known is None else mapped_lines(line_m, drawing, settings.limits)
-    further = [] if known is None else known_lines(known) + mapped
+    of_map = None if known is None else between_lines(rings, line_m, drawing, settings.limits)
+    further = [] if known is None else known_lines(known)
+    if of_map is not None:
+        further += of_map.lines[of_map.num_edges :]
     drawn = _drawn(rings, plane, found.label, point_m, main, further, drawing, settings.limits)
     if drawn is None:
         return None
@@ -156,8 +158,7 @@ def fit_planes(
         supposed_m2 = area_m2 * min(settings.prices.supposed_per_m2 / density, 1.0)
         stands_m2 = np.append(stands_m2, np.full(len(supposed_m), supposed_m2 / len(supposed_m)))
     at_m, number = point_m[at_plane >= 0, :2], at_plane[at_plane >= 0]
-    if mapped:
-        of_map = arrange(rings, mapped)
+    if of_map is not None:
         mapped_m, mapped_number = mapped_places(of_map)
         at_m, number = np.vstack([at_m, mapped_m]), np.append(number, len(plane) + mapped_number)
         plane = np.vstack([plane, mapped_planes(of_map, seen_m, stands_m2, settings.limits)])

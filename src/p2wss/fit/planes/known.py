@@ -3,9 +3,12 @@ are few."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
+
 import numpy as np
 
-from p2wss.fit.planes.arrangement import Arrangement
+from p2wss.fit.planes.arrangement import Arrangement, TooManyPlacesError, arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.points import every_kth
 from p2wss.fit.settings import NOISE_M, Drawing, Limits
@@ -49,11 +52,18 @@ def known_lines(mesh: Mesh) -> list[Line]:
     return [Line.through(*end_m).along(end_m, _REACH_M) for end_m in mesh.vertex_m[side, :2]]
 
 
-def mapped_lines(end_m: np.ndarray, drawing: Drawing, limits: Limits) -> list[Line]:
-    """Lines of a map by their ends (l, 2, 2), the longest if they are many, as long as to meet what they end at."""
-    length_m = np.hypot(*(end_m[:, 1] - end_m[:, 0]).T)
-    longest = np.sort(np.argsort(-length_m, kind="stable")[: limits.num_mapped_lines])
-    return [Line.through(*each).along(each, drawing.mapped_gap_m) for each in end_m[longest]]
+def between_lines(
+    rings: Sequence[np.ndarray], end_m: np.ndarray, drawing: Drawing, limits: Limits
+) -> Arrangement | None:
+    """The cells between lines of a map with these ends (l, 2, 2), as long as to meet what they end at: all of them, or
+    as many of the longest as are within the limits; None without lines."""
+    longest = np.argsort(-np.hypot(*(end_m[:, 1] - end_m[:, 0]).T), kind="stable")[: limits.num_mapped_lines]
+    while len(longest):
+        lines = [Line.through(*each).along(each, drawing.mapped_gap_m) for each in end_m[np.sort(longest)]]
+        with suppress(TooManyPlacesError):
+            return arrange(rings, lines, limits.num_mapped_places)
+        longest = longest[: len(longest) // 2]
+    return None
 
 
 def mapped_planes(

@@ -8,10 +8,9 @@ from cell_costs import all_costs
 from toy_roofs import sample
 
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
-from p2wss.fit.planes.known import known_lines, known_planes, mapped_lines, mapped_planes, num_on
+from p2wss.fit.planes.known import between_lines, known_lines, known_planes, mapped_planes, num_on
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import ends_of
 from p2wss.fit.settings import Planes
@@ -128,7 +127,8 @@ def test_planes_between_the_lines_of_a_map_meet_there() -> None:
     mesh = roof(40, 40, 40, 40)
     xy_m = np.array([(3.0, 1.0), (6.0, 2.0), (9.0, 1.5), (11.0, 4.0), (6.0, 7.0)])
     point_m = np.column_stack([xy_m, heights(known_planes(mesh), xy_m).min(axis=1)])
-    cells = arrange([RECTANGLE], mapped_lines(ends_of(known_lines(mesh)), PLANES.drawing, PLANES.limits))
+    cells = between_lines([RECTANGLE], ends_of(known_lines(mesh)), PLANES.drawing, PLANES.limits)
+    assert cells is not None
     plane = mapped_planes(cells, point_m, np.full(len(point_m), 2.0), PLANES.limits)
     assert len(plane) == 4
     is_inner = (cells.pair >= 0).all(axis=1)
@@ -138,13 +138,28 @@ def test_planes_between_the_lines_of_a_map_meet_there() -> None:
 
 def test_a_step_that_points_show_remains_at_a_line() -> None:
     """A low half, shown by four points, beside a high one: planes do not bend to meet."""
-    cells = arrange(
-        [RECTANGLE], mapped_lines(np.array([[[5.0, 0.5], [5.0, 7.5]]]), PLANES.drawing, PLANES.limits)
-    )
+    end_m = np.array([[[5.0, 0.5], [5.0, 7.5]]])
+    cells = between_lines([RECTANGLE], end_m, PLANES.drawing, PLANES.limits)
+    assert cells is not None
     xy_m = np.array([(x, y) for x in (1.0, 4.0, 6.0, 11.0) for y in (1.0, 7.0)])
     point_m = np.column_stack([xy_m, np.where(xy_m[:, 0] < 5, 3.0, 6.0)])
     plane = mapped_planes(cells, point_m, np.full(8, 12.0), PLANES.limits)
     assert plane[np.argsort(plane[:, 2])] == pytest.approx(np.array([[0, 0, 3.0], [0, 0, 6.0]]), abs=0.05)
+
+
+def test_of_lines_that_cross_in_too_many_places_the_longest_count() -> None:
+    rng = np.random.default_rng(0)
+    end_m = rng.uniform((0, 0), (12, 8), (150, 2, 2))
+    cells = between_lines([RECTANGLE], end_m, PLANES.drawing, PLANES.limits)
+    assert cells is not None and len(cells.xy_m) <= PLANES.limits.num_mapped_places
+    num = len(cells.lines) - cells.num_edges
+    assert 10 < num < 150
+    longest_m = np.sort(np.hypot(*(end_m[:, 1] - end_m[:, 0]).T))[-num:]
+    length_m = [
+        line.high_m - line.low_m - 2 * PLANES.drawing.mapped_gap_m for line in cells.lines[cells.num_edges :]
+    ]
+    assert np.sort(length_m) == pytest.approx(longest_m)
+    assert between_lines([RECTANGLE], end_m[:0], PLANES.drawing, PLANES.limits) is None
 
 
 def test_a_line_is_used_where_edges_of_the_roof_are_along_half_of_it() -> None:
