@@ -111,6 +111,15 @@ clouds_argument = click.argument(
     metavar="CLOUD ..",
     help="LAS, LAZ or COPC files, or folders of them",
 )
+inputs_argument = click.argument(
+    "inputs",
+    type=PATH,
+    nargs=-1,
+    required=True,
+    metavar="CLOUD .. FOOTPRINTS",
+    help="LAS, LAZ or COPC files, or folders of them; then a vector file with polygons, reprojected if it is in "
+    "another CRS",
+)
 classes_option = setting("region.classes.preset", "--classes")
 manifest_option = file_option("--manifest", "JSON written by p2wss crops manifest")
 out_metrics_option = file_option("--out-metrics", "JSON lines to write: losses during training")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import classes_option, config_option, crs_option, log
+from p2wss.cli.common import classes_option, config_option, crs_option, inputs_argument, log
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
@@ -14,14 +14,7 @@ from p2wss.storage.errors import InputError
 
 
 @click.command(cls=Command)
-@click.argument(
-    "inputs",
-    type=PATH,
-    nargs=-1,
-    required=True,
-    metavar="CLOUD .. FOOTPRINTS",
-    help="the inputs of a run: clouds, or folders of them, and a vector file with polygons",
-)
+@inputs_argument
 @click.argument("building_id", metavar="ID", help="of the building, as in the results of the run")
 @option("--out", type=PATH, metavar="FILE", help="picture to write, .svg or .png")
 @crs_option

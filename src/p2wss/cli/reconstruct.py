@@ -16,6 +16,7 @@ from p2wss.cli.common import (
     config_option,
     crs_option,
     device_option,
+    inputs_argument,
     log_options,
     threads_option,
     write_run,
@@ -37,15 +38,7 @@ OF_FOOTPRINTS = (
 
 
 @click.command(cls=Command)
-@click.argument(
-    "inputs",
-    type=PATH,
-    nargs=-1,
-    required=True,
-    metavar="CLOUD .. FOOTPRINTS",
-    help="LAS, LAZ or COPC files, or folders of them; then a vector file with polygons, reprojected if it is in "
-    "another CRS",
-)
+@inputs_argument
 @click.argument("out", type=PATH, metavar="OUT", help="folder to write")
 @option(
     "--no-footprints",
@@ -150,7 +143,8 @@ def reconstruct(
         from p2wss.reconstruct.inputs import check_inputs
 
     start = time.monotonic()
-    checked = check_inputs(clouds, footprints, config, crs, terrain, model, chosen["tile"] is not None, lines)
+    is_tile = chosen["tile"] is not None
+    checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty=is_tile, lines=lines)
     with importing():
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))

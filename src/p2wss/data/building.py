@@ -40,6 +40,11 @@ class Building:
     supposed_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     line_m: np.ndarray | None = None
 
+    @property
+    def num_lines(self) -> int | None:
+        """How many lines of its roof a map knows; None in a run without such lines."""
+        return None if self.line_m is None else len(self.line_m)
+
     @cached_property
     def polygon(self) -> shapely.Polygon:
         """The footprint, relative to ``origin_xy_m``, metres."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import takewhile
 from typing import Any
@@ -107,10 +107,7 @@ def viewer(
         around.append({"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(crowns)})
     if place.others:
         shapes = Mesh.joined(place.others)
-        seen = shapes.kind != FaceKind.GROUND
-        shapes = replace(
-            shapes, triangle=shapes.triangle[seen], kind=shapes.kind[seen], label=shapes.label[seen]
-        )
+        shapes = shapes.part(shapes.kind != FaceKind.GROUND)
         around.append({"key": "others", "name": "Other buildings", "color": OTHER_COLOR, **_mesh(shapes)})
     if place.ground is not None:
         around.append({"key": "ground", "name": "Ground", "color": GROUND_COLOR, **_mesh(place.ground)})

@@ -21,6 +21,8 @@ from p2wss.skeleton.angles import slope_angles
 
 # a plane that lies over no cell would be over those in which most points are of it
 _MOST = 0.5
+# each plane is compared with a search without it, whose cost in all grows with the square of their number
+_MAX_COMPARED = 300
 
 
 @dataclass(frozen=True)
@@ -50,24 +52,27 @@ class Explanation:
         """A figure of matplotlib (the extra ``report``): the points by plane, lines and borders, the building."""
         from matplotlib import pyplot
         from matplotlib.collections import LineCollection
+        from matplotlib.colors import to_rgba
 
         figure, (left, middle, right) = pyplot.subplots(1, 3, figsize=(15, 5), layout="constrained")
         plot([self.building], "oblique", right)
         if self.planes is None:
             return figure
         fit, colors = self.planes, pyplot.get_cmap("tab20")
-        is_off = fit.at_plane < 0
-        left.scatter(*fit.point_m[is_off, :2].T, s=3, color="#bbbbbb", label="none")
-        for number in np.unique(fit.at_plane[~is_off]).tolist():
-            own_m = fit.point_m[fit.at_plane == number]
-            left.scatter(*own_m[:, :2].T, s=3, color=colors(number % 20), label=str(number))
-            middle.annotate(str(number), own_m[:, :2].mean(axis=0), color=colors(number % 20), weight="bold")
-        left.legend(title="plane", markerscale=4, fontsize="small")
+        color = np.where(fit.at_plane[:, None] < 0, to_rgba("#bbbbbb"), colors(fit.at_plane % 20))
+        left.scatter(*fit.point_m[:, :2].T, s=3, color=color)
+        for number in np.unique(fit.label).tolist():
+            own = fit.label == number
+            place_m = np.average(fit.cells.middle_m[own], axis=0, weights=fit.cells.area_m2[own])
+            middle.annotate(str(number), place_m, color=colors(number % 20), weight="bold", ha="center")
         beside = np.append(fit.label, -1)[fit.cells.pair]
         is_border, end_m = beside[:, 0] != beside[:, 1], fit.cells.xy_m[fit.cells.side]
         middle.add_collection(LineCollection(end_m[~is_border], colors="#cccccc", linewidths=0.5))
         middle.add_collection(LineCollection(end_m[is_border], colors="#222222", linewidths=1.5))
-        for axes, title in ((left, "points by plane"), (middle, "lines (grey), borders of planes (black)")):
+        for axes, title in (
+            (left, "points by plane, grey: of none"),
+            (middle, "lines (grey), planes that are used"),
+        ):
             axes.add_collection(LineCollection(end_m[(fit.cells.pair < 0).any(axis=1)], colors="#222222"))
             axes.autoscale_view()
             axes.set_aspect("equal")
@@ -93,14 +98,15 @@ def _planes(fit: PlanesFit) -> Iterator[str]:
         name = f"{number}*" if number >= len(fit.plane) - fit.num_known else str(number)
         yield (
             f"{name:>5} {own.sum():>7} {area_m2[number]:>7.1f} {slope:>6.1f} {bearing:>6} {off_m:>7.3f}  "
-            f"{_saving(fit, number, cell[own])}"
+            f"{_saving(fit, number, cell, own) if len(fit.plane) <= _MAX_COMPARED else 'too many planes'}"
         )
     if fit.num_known:
         yield "* of a roof that a network supposes, the parametric building, or of lines of a map: there are few points"
 
 
-def _saving(fit: PlanesFit, number: int, own_cell: np.ndarray) -> str:
-    """What a plane that is used saves, or what one that is not would cost. own_cell: the cells of its points."""
+def _saving(fit: PlanesFit, number: int, cell: np.ndarray, own: np.ndarray) -> str:
+    """What a plane that is used saves, or what one that is not would cost. cell: (m,), that of each point, -1 outside.
+    own: bool (m,), its points inside."""
     problem, total_m3 = fit.costs.problem, fit.costs.total_m3(fit.label)
     if (fit.label == number).any():
         barred_m3 = np.where(problem.number == number, FORBIDDEN_M3, problem.cell_m3)
@@ -109,8 +115,8 @@ def _saving(fit: PlanesFit, number: int, own_cell: np.ndarray) -> str:
         return "nothing else is near" if more_m3 > FORBIDDEN_M3 / 2 else f"{more_m3:+.2f} m3"
     if number >= len(fit.plane) - fit.num_known:
         return "not used"
-    num = np.bincount(fit.cells.cells_at(fit.point_m[:, :2]) + 1, minlength=len(fit.label) + 1)[1:]
-    label = np.where(np.bincount(own_cell, minlength=len(num)) > _MOST * num, number, fit.label)
+    num, num_own = (np.bincount(each, minlength=len(fit.label)) for each in (cell[cell >= 0], cell[own]))
+    label = np.where(num_own > _MOST * num, number, fit.label)
     if (label == fit.label).all():
         return "not used: no cell has most of its points"
     return f"not used: {fit.costs.total_m3(label) - total_m3:+.2f} m3 if it were"

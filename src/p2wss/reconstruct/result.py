@@ -143,7 +143,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
         sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
         failure=row.failure,
-        num_lines=None if building.line_m is None else len(building.line_m),
+        num_lines=building.num_lines,
     )
 
 
@@ -163,7 +163,7 @@ def failed(row: Row, method: str) -> Result:
         dates=row.dates,
         ground=row.ground,
         failure=row.failure,
-        num_lines=None if row.building.line_m is None else len(row.building.line_m),
+        num_lines=row.building.num_lines,
     )
 
 

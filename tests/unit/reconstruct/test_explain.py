@@ -14,6 +14,7 @@ import shapely
 import p2wss
 from p2wss import cli
 from p2wss.fit import fitting
+from p2wss.reconstruct import explain
 
 PLACE = "EPSG:26910"
 
@@ -24,7 +25,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return houses.write_cloud(tmp_path / "c.laz", PLACE, PLACE), tmp_path / "f.gpkg"
 
 
-def test_the_planes_of_a_gable_roof() -> None:
+def test_the_planes_of_a_gable_roof(monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = np.meshgrid(np.arange(-4, 14, 0.4), np.arange(-4, 10, 0.4))
     inside = (x > 0) & (x < 10) & (y > 0) & (y < 6)
     z = np.where(inside, 5 + np.minimum(y, 6 - y), 0)
@@ -47,6 +48,8 @@ def test_the_planes_of_a_gable_roof() -> None:
     assert total_m3 == pytest.approx(sum(map(float, cost.values())), abs=0.02)
     assert float(cost[" points off the planes"]) < 0.1 * total_m3
     assert fitting.TRACE.get() is None
+    monkeypatch.setattr(explain, "_MAX_COMPARED", 1)
+    assert str(explanation).count("too many planes") == 2
 
 
 def test_a_parametric_building_has_no_planes(files: tuple[Path, Path]) -> None:
