@@ -137,12 +137,11 @@ def scene_page(
     summary: Sequence[str],
     buildings: Sequence[Shown],
     layers: Sequence[Layer],
-    shifts: Mapping[str, Any] | None = None,
     place: Place = Place(),
 ) -> str:
     """A page with all buildings in one picture and in a table.
 
-    summary: sentences above. shifts: of :func:`p2wss.formats.shift_map.content`, for a second tab.
+    summary: sentences above.
     """
     buildings = sorted(buildings, key=lambda building: -(_number(building.attributes, "residual_m") or 0.0))
     present = {
@@ -156,7 +155,6 @@ def scene_page(
             summary=summary,
             viewer=viewer(buildings, layers, together=True, place=place) if buildings else None,
             columns={name: text for name, text in COLUMNS.items() if name in present or name == "state"},
-            shifts=shifts,
         )
     )
 

@@ -1,5 +1,4 @@
-"""The page of a run: its buildings in 3D and in a table, and a map of how its footprints were moved. Also that of any
-CityJSON files."""
+"""The page of a run: its buildings in 3D and in a table. Also that of any CityJSON files."""
 
 from __future__ import annotations
 
@@ -17,13 +16,11 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.crs import horizontal
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.data.points import stride
-from p2wss.formats import shift_map, viewer
-from p2wss.formats.shift_map import Block, Footprint
+from p2wss.formats import viewer
 from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.attributes import attributes
-from p2wss.reconstruct.registration import NOTHING, Registration
 from p2wss.reconstruct.registration import summary as registration_summary
 from p2wss.reconstruct.result import Result, summary
 from p2wss.skeleton.types import FaceKind
@@ -62,17 +59,14 @@ def page_of_run(
     every = stride(sum(len(result.sample_m) for result in chosen), MAX_POINTS)
     buildings = [_shown(result, origin_m, every, heights) for result in chosen]
     sentences = [summary(results), *_left_out(len(results)), _origin(facts)]
-    rows, footprints, blocks = _moved(results)
+    registrations = [result.registration for result in results if result.registration is not None]
     off = "registration: off, or the cloud has no points of class building"
-    sentences.insert(1, registration_summary(rows) if rows else off)
-    shifts = None
-    if any(row.shift_m != (0.0, 0.0) or row.flags for row in rows):
-        shifts = shift_map.content(horizontal(crs).name, footprints, blocks)
+    sentences.insert(1, registration_summary(registrations) if registrations else off)
     layers = [Layer(_OURS, "Meshes", "#c8603a", is_ours=True)]
     if any(OUTLINES.key in each.meshes for each in buildings):
         layers.append(OUTLINES)
     place = _place(plants, others, buildings, origin_m, heights, horizontal(crs).name)
-    return viewer.scene_page(stem, sentences, buildings, layers, shifts, place)
+    return viewer.scene_page(stem, sentences, buildings, layers, place)
 
 
 def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None) -> str:
@@ -127,7 +121,7 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
     ]
     crs, heights = scenes[first].crs, _heights(position_m, None)
     place = _place(plants, others, buildings, origin_m, heights, "" if crs is None else horizontal(crs).name)
-    return viewer.scene_page(title, sentences, buildings, layers, place=place)
+    return viewer.scene_page(title, sentences, buildings, layers, place)
 
 
 def _origin(facts: Mapping[str, Any]) -> str:
@@ -250,30 +244,3 @@ def _shown(result: Result, origin_m: np.ndarray, every: int, heights: Heights) -
         sample_m[:, 3],
         attributes(result),
     )
-
-
-def _moved(results: Sequence[Result]) -> tuple[list[Registration], list[Footprint], dict[str, Block]]:
-    """The registrations, the footprints with a block, and what was done with each block; results are read once."""
-    rows, footprints, blocks = [], [], {}
-    for result in results:
-        row, reconstruction = result.registration, result.reconstruction
-        if row is not None:
-            rows.append(row)
-        if row is None or not row.block or not reconstruction.rings:
-            continue
-        rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
-        used = shapely.Polygon(rings[0], rings[1:])
-        evidence = (row.flags, row.ground_inside_m2, row.roof_outside_m2)
-        footprints.append(
-            Footprint(reconstruction.building_id, row.block, row.input_polygon, used, *evidence)
-        )
-        blocks[row.block] = Block(_action(row), *row.shift_m, row.shift_sd_m, row.overhang_m)
-    return rows, footprints, blocks
-
-
-def _action(row: Registration) -> str:
-    if row.source == NOTHING:
-        return shift_map.UNKNOWN
-    if row.shift_m == (0.0, 0.0):
-        return shift_map.STAYED
-    return shift_map.MOVED

@@ -69,8 +69,8 @@ def test_moved_by_default_and_kept_beside(place: Path, caplog: pytest.LogCapture
     with_columns = gpd.read_parquet(place / "out" / "cloud.parquet")
     assert (with_columns["input_geometry"].hausdorff_distance(before.geometry) < 1e-6).all()
     page = (place / "out" / "cloud.html").read_text()
-    assert page.count("marker-end") == 2 and "3 of 3 footprints moved" in page
-    assert f">{rows.loc['A', 'shift_x_m']:.2f}</td><td>{rows.loc['A', 'shift_y_m']:.2f}</td>" in page
+    assert "3 of 3 footprints moved" in page
+    assert f'"shift_x_m":{rows.loc["A", "shift_x_m"]:g}' in page
     assert '"shift_sd_m"' in (place / "out" / "cloud.city.jsonl").read_text()
 
 
