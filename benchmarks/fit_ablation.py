@@ -24,7 +24,7 @@ from figures import Figures
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.settings import Chimneys, Detection, Planes, Thresholds
+from p2wss.fit.settings import Detection, Planes, Thresholds
 from p2wss.reconstruct.flat import with_fallback
 
 _NUM_COPIES, _JITTER_M = 4, 0.0025
@@ -48,10 +48,6 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "no wall moves": (_DEFAULT.model_copy(update={"max_wall_shift_m": 0.0}), Thresholds()),
     "`detail: low`": (_DEFAULT.model_copy(update={"detail": "low"}), Thresholds()),
     "`detail: high`": (_DEFAULT.model_copy(update={"detail": "high"}), Thresholds()),
-    "`detail: high`, no chimneys": (
-        _DEFAULT.model_copy(update={"detail": "high"}),
-        Thresholds(chimneys=Chimneys(price_m=np.inf)),
-    ),
 }
 
 

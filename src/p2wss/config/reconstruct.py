@@ -223,7 +223,7 @@ class Reconstruct(Section):
     detail: Literal["low", "normal", "high"] = Field(
         "normal",
         description="level of detail, set by the prices of faces and edges: low = fewer triangles, "
-        "high = nearer to the points, and chimneys",
+        "high = nearer to the points",
     )
     max_triangles: int | None = Field(
         None,

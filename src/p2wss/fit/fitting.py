@@ -13,7 +13,6 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
-from p2wss.fit.mesh.chimneys import with_chimneys
 from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
@@ -107,9 +106,7 @@ def fit_building(task: _Task) -> Reconstruction:
     if (trace := TRACE.get()) is not None:
         trace.append((task.building.building_id, solid.planes))
     mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
-    mesh = prepared.open_ground.marked(mesh)
-    mesh = add_chimneys(task, prepared, mesh)
-    return _reconstruction(task, prepared, solid, mesh)
+    return _reconstruction(task, prepared, solid, prepared.open_ground.marked(mesh))
 
 
 def prepare(task: _Task) -> _Prepared | str:
@@ -204,14 +201,6 @@ def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
 def remove_short_edges(task: _Task, mesh: Mesh) -> Mesh:
     """The mesh without short edges; where a face went, a vertex may be left within an edge of two others."""
     return without_straight_vertices(with_exact_faces(mesh, task.thresholds.short_edge_m))
-
-
-def add_chimneys(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:
-    """The mesh with the chimneys on it, at the highest level of detail."""
-    if task.config.detail != "high" or task.config.roofs == "parametric":
-        return mesh
-    with_all = with_chimneys(mesh, prepared.rings, prepared.point_m, task.thresholds.chimneys)
-    return mesh if with_all is mesh else prepared.open_ground.marked(with_all)
 
 
 def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh) -> Reconstruction:

@@ -73,31 +73,6 @@ class Parametric:
 PARAMETRIC = Parametric()
 
 
-@dataclass(frozen=True)
-class Chimneys:
-    """What counts as a chimney. The price was chosen on simulated towns: `benchmarks/chimneys.py`."""
-
-    # metres: of the returns from its top above the roof
-    min_rise_m: float = 0.5
-    max_rise_m: float = 2.5
-    # returns from its top
-    min_points: int = 3
-    # metres: a narrower one is widened
-    min_width_m: float = 0.4
-    max_width_m: float = 1.6
-    # of its sides
-    max_ratio: float = 2.5
-    max_area_m2: float = 1.5
-    # of the footprint's area
-    max_share: float = 0.04
-    # metres: its price, in the sum of the residuals
-    price_m: float = 1.5
-    # of the returns over it that are from its top or its sides
-    solid_share: float = 0.6
-    # of the returns around it that are from the roof
-    around_share: float = 0.75
-
-
 class Detection(NamedTuple):
     """Which points make a plane (`planes/detection.py`)."""
 
@@ -257,7 +232,6 @@ class Thresholds:
     """All that decides between roofs."""
 
     parametric: Parametric = field(default_factory=Parametric)
-    chimneys: Chimneys = field(default_factory=Chimneys)
     planes: Planes = field(default_factory=Planes)
     # points on a roof and on those around it: with fewer, the parametric model knows more than planes in them show
     min_plane_points: int = 5

@@ -7,19 +7,9 @@ import numpy as np
 from p2wss.mesh import Mesh
 from p2wss.mesh.booleans import manifold3d
 from p2wss.mesh.planar import without_straight_vertices
-from p2wss.mesh.rules import crosses_itself
 
-_SHORT_EDGE_M = 1e-2
 # how far a surface may move when slivers are removed
 _SIMPLIFY_M = 2e-3
-
-
-def is_sound(mesh: Mesh) -> bool:
-    """Whether a mesh stays closed in programs that round coordinates and triangulate faces again: it has no edge of a
-    few millimetres, no vertex within a straight edge, and no faces that cross."""
-    if mesh.edge_m.min() < _SHORT_EDGE_M or (mesh.num_planes_at < 3).any():
-        return False
-    return not crosses_itself(mesh.vertex_m, mesh.triangle)
 
 
 def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:

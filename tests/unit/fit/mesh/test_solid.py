@@ -7,9 +7,17 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit.mesh.parametric import build_meshes
-from p2wss.fit.mesh.simplification import is_sound
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_faces_divided
+from p2wss.mesh.rules import crosses_itself
+
+
+def is_sound(mesh: Mesh) -> bool:
+    """Whether a mesh stays closed in programs that round coordinates and triangulate faces again."""
+    is_short = mesh.edge_m.min() < 1e-2
+    return (
+        not is_short and (mesh.num_planes_at >= 3).all() and not crosses_itself(mesh.vertex_m, mesh.triangle)
+    )
 
 
 def volume_m3(mesh: Mesh) -> float:
