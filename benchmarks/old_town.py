@@ -13,8 +13,6 @@ compares heights on a raster with those of the true roofs. Nothing was chosen on
   metre.
 * A shaft is found where most of it, less half a metre at its sides, is lower than halfway down. A *false shaft* is a
   place, a metre wide and two metres below the true roof, where there is none.
-* A building is *not represented* where its result is not reliable; where it is at least one of the causes drawn, it has
-  to be the one stated.
 """
 
 from __future__ import annotations
@@ -23,7 +21,6 @@ import argparse
 import contextlib
 import sys
 import tempfile
-from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +42,6 @@ from p2wss.towns.old import TROUBLES, hillside_z_m
 SEED = 101
 CELL_M = 0.25
 _ON_PLANE_M = 0.1
-DRAWN_CAUSES = list(TROUBLES)[:6]
 
 
 def _disc(radius_m: float) -> np.ndarray:
@@ -185,18 +181,11 @@ def main() -> int:
         }
         print(name.ljust(16) + "".join(f"{value:8.3g}" for value in values.values()))
         figures.row(name, values)
-    stated: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    unreliable = [row for row in rows if not row["is_reliable"]]
-    for row in unreliable:
-        stated[row["kind"]][str(row.get("cause"))] += 1
-    for kind, causes in stated.items():
-        print(f"{kind}: {dict(causes)}")
     whole = {title: sum(row[title] for row in rows) for title in titles}
     for title in ("slabs", "too long", "above", "ground above roof", "false shafts"):
         print(f"{title}:", " ".join(row["id"][-6:] for row in rows if row[title])[:120])
     print("not found:", " ".join(row["id"][-6:] for row in rows if row["shafts"] > row["found"])[:120])
     seen = [row for row in rows if row["visible_share"] is not None and row["visible_share"] >= 0.6]
-    drawn = [row for row in unreliable if row["kind"] in DRAWN_CAUSES]
     figures.at_most("false slabs, of 1,000 buildings", 1000 * whole["slabs"] / len(rows), 0)
     figures.at_least("shafts found", whole["found"] / whole["shafts"], 0.9)
     figures.at_most(
@@ -205,7 +194,6 @@ def main() -> int:
     figures.at_most(
         "not representable where seen", np.mean([bool(row["not_representable"]) for row in seen]), 0.08
     )
-    figures.at_least("causes right", np.mean([row.get("cause") == row["kind"] for row in drawn]), 0.8)
     figures.at_most("roofs above their support", whole["above"], 0)
     figures.at_most("ground above the own roof", whole["ground above roof"], 0)
     return figures.end()

@@ -60,23 +60,6 @@ FLAGS: dict[str, str] = {
     EXTENDED: "a contiguous area beside the footprint and outside all footprints is roof: an extension, or a neighbour",
 }
 
-# why a building is not represented
-VEGETATION_OVER = "vegetation-over"
-NEIGHBOUR_OVER = "neighbour-over"
-GONE = "gone"
-CHANGED = "changed"
-MANY_LEVELS = "many-levels"
-FEW_POINTS = "few-points"
-
-CAUSES: dict[str, str] = {
-    VEGETATION_OVER: "plants hide the roof",
-    NEIGHBOUR_OVER: "the roof of a neighbour reaches over the footprint",
-    GONE: "the points show the ground where the footprint has a building",
-    CHANGED: "the points show a building on a part of the footprint, and the ground on another",
-    MANY_LEVELS: "the points show a roof, but the planes of the mesh are not near to them",
-    FEW_POINTS: "hardly any point shows the roof",
-}
-
 MEANINGS: dict[str, str] = {
     OK: "nothing is missing",
     EMPTY: "the footprint has no area: no ring, or fewer than three vertices",

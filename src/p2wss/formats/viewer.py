@@ -62,7 +62,7 @@ OUTLINES = Layer("outlines", "Footprints without a mesh", "#b3261e", is_ours=Fal
 @dataclass(frozen=True)
 class Place:
     """What is around the buildings of a scene, and how to read it. plants, others (buildings without attributes),
-    ground: in the frame of the buildings; they can be hidden. crs: its name. meanings: of reasons, causes and flags."""
+    ground: in the frame of the buildings; they can be hidden. crs: its name. meanings: of reasons and flags."""
 
     plants: Sequence[Mesh] = ()
     others: Sequence[Mesh] = ()

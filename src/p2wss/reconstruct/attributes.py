@@ -83,7 +83,6 @@ def _attributes(result: Result) -> dict[str, Any]:
         "share_within_20cm": _rounded(result.share_within_20cm),
         "not_representable": result.not_representable,
         "is_reliable": result.is_reliable,
-        "cause": result.cause,
         "visible_share": _rounded(result.visible_share),
         "num_points": result.num_points,
         "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,

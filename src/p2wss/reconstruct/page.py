@@ -146,7 +146,7 @@ def _place(
     ground = (
         _ground(np.concatenate(corner_m) + origin_m[:2], heights).translated(-origin_m) if corner_m else None
     )
-    return Place(crowns, shapes, ground, crs, reasons.MEANINGS | reasons.FLAGS | reasons.CAUSES)
+    return Place(crowns, shapes, ground, crs, reasons.MEANINGS | reasons.FLAGS)
 
 
 def _heights(position_m: Sequence[np.ndarray], terrain: Terrain | None) -> Heights:

@@ -17,7 +17,6 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import stride
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruct.causes import cause_of
 from p2wss.reconstruct.measures import MeshMeasures, measure
 from p2wss.reconstruct.product import FIT
 from p2wss.reconstruct.registration import Registration
@@ -63,7 +62,6 @@ class Result:
     registration: how the footprint was moved, None without a registration.
     rmse_m, share_within_20cm: of the same distances as the residual.
     is_reliable: a reconstruction that the points support.
-    cause: why a building that is not reliable is not represented, from :data:`p2wss.data.reasons.CAUSES`.
     dates: the first and the last day of its points; None if unknown.
     overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the length of those where points
     show it, negative where they end within; NaN where none shows it.
@@ -93,7 +91,6 @@ class Result:
     measures: MeshMeasures | None = None
     party_wall_area_m2: float = 0.0
     ground: tuple[str, float] | None = None
-    cause: str | None = None
     sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     failure: str = ""
     num_lines: int | None = None
@@ -138,7 +135,6 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         is_reliable=is_reliable,
         dates=row.dates,
         ground=row.ground,
-        cause=None if is_reliable else cause_of(building),
         overhang_m=overhang_m,
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
         sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),

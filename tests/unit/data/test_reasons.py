@@ -18,7 +18,7 @@ def names() -> dict[str, str]:
 
 def test_every_reason_has_a_meaning_and_is_kebab_case() -> None:
     from_kernel = {status.reason for status in Status}
-    meanings = reasons.MEANINGS | reasons.FLAGS | reasons.CAUSES
+    meanings = reasons.MEANINGS | reasons.FLAGS
     assert set(meanings) == set(names().values()) | from_kernel
     assert not set(reasons.MEANINGS) & set(reasons.FLAGS)
     assert all(re.fullmatch(r"[a-z]+(-[a-z]+)*", reason) for reason in meanings)

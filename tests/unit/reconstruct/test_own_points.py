@@ -12,13 +12,11 @@ import shapely
 from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data import polygon_arrays, reasons
-from p2wss.data.building import Building
+from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import shaft_points
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruct.causes import cause_of
 from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.own_points import own_classes
 from p2wss.reconstruct.pipeline import Rows
@@ -340,27 +338,3 @@ def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
     assert not len(found(roof_m[(roof_m[:, 0] < 6) | (roof_m[:, 1] > 3)], street_m))
     # nor is a place that is not far below
     assert not len(found(roof_m[~well], np.add(floor_m, (0, 0, 9.5))))
-
-
-def test_one_cause_for_each() -> None:
-    xy = grid((0, 0), (8, 10))
-    of_class = {
-        "roof": (6, 6.0),
-        "plants": (5, 7.0),
-        "neighbour": (NEIGHBOUR_CLASS, 12.0),
-        "ground": (2, 0.0),
-    }
-
-    def cause(first: str, second: str = "", share: float = 0.0, every: int = 1) -> str:
-        names = np.where(xy[:, 0] < 8 * (1 - share), first, second)[::every]
-        z = np.array([of_class[name][1] for name in names])
-        classes = np.array([of_class[name][0] for name in names], np.uint8)
-        return cause_of(
-            Building("a", "t", (0.0, 0.0), [RING], np.column_stack([xy[::every], z]), classes, 0.0)
-        )
-
-    assert cause("plants") == cause("roof", "plants", 0.5) == reasons.VEGETATION_OVER
-    assert cause("roof", "neighbour", 0.5) == reasons.NEIGHBOUR_OVER
-    assert (cause("ground"), cause("roof", "ground", 0.5)) == (reasons.GONE, reasons.CHANGED)
-    assert (cause("roof"), cause("roof", every=40)) == (reasons.MANY_LEVELS, reasons.FEW_POINTS)
-    assert set(reasons.CAUSES) >= {cause("roof"), cause("ground"), cause("plants")}

@@ -211,7 +211,7 @@
     residual: byNumber("distance to the points", ({ residual }) => residual ?? NaN, MESH_REACH),
     height: byNumber("height", heightOf),
     roof: byName("type of roof", ({ attributes }) => [attributes.roof_type]),
-    reason: byName("reason", ({ attributes }) => [attributes.reason ?? attributes.cause ?? attributes.footprint_flags]),
+    reason: byName("reason", ({ attributes }) => [attributes.reason ?? attributes.footprint_flags]),
     material: byName("material", materialsOf, data.materials),
   };
   let coloring = null;
