@@ -30,8 +30,6 @@ def crops() -> None:
 def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> None:
     """Crop a simulated scan, with labels."""
     from p2wss import crops
-    from p2wss.clouds.scan_files import read_scan
-    from p2wss.data.crs import check_crs
     from p2wss.storage.schemas.buildings import BUILDINGS
 
     facts = files.read_metadata(buildings)
@@ -41,9 +39,7 @@ def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> N
             f"{buildings}: its margin of {facts['margin_m']} m is smaller than crops.guard_m "
             f"{config.crops.guard_m}; raise scenes.margin_m"
         )
-    points = read_scan(scan)
-    check_crs(points[0].crs, facts["crs"], scan, "the footprints are", "reproject one of them")
-    columns, num_excluded = crops.crop_simulated(table, points, config.crops)
+    columns, num_excluded = crops.crop_simulated(table, crops.scan_of(scan, facts["crs"]), config.crops)
     settings = section_json(config, "crops")
     tile = facts.get("place", "") + facts["tile"]
     _write_crops(out, columns, num_excluded, tile, facts["crs"], settings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,23 +11,32 @@ import pyarrow as pa
 
 from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud
+from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Crops
 from p2wss.crops.rows import count_true, crop_columns
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
+from p2wss.data.crs import check_crs
 from p2wss.skeleton.types import FaceKind
 
+Scan = tuple[Cloud, np.ndarray, np.ndarray]
 _LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
 
 
-def crop_simulated(
-    buildings: pa.Table, scan: tuple[Cloud, np.ndarray, np.ndarray], settings: Crops
-) -> tuple[dict[str, Any], Counter[str]]:
+def scan_of(path: Path, crs: str) -> Scan:
+    """The scan in a file (:func:`p2wss.clouds.scan_files.read_scan`). Raises :class:`InputError` for one in another CRS
+    than that of the buildings."""
+    scan = read_scan(path)
+    check_crs(scan[0].crs, crs, path, "the footprints are", "reproject one of them")
+    return scan
+
+
+def crop_simulated(buildings: pa.Table, scan: Scan, settings: Crops) -> tuple[dict[str, Any], Counter[str]]:
     """The columns of :data:`p2wss.storage.schemas.crops.CROPS` with labels, and the number of excluded buildings per
     reason.
 
     buildings: the columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`; those in the margin of the tile are
-    not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.clouds.scan_files.read_scan`.
+    not cropped, but may put buildings of the tile on guard. scan: see :func:`scan_of`.
     """
     cloud, building_of_point, face_of_point = scan
     polygons = polygon_arrays.in_crs(buildings)
