@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ import laspy
 
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
-from p2wss.storage.las_unchunked import UNCHUNKED, OneChunk
+from p2wss.storage.las_unchunked import UNCHUNKED, in_one_chunk
 
 # the phrase of messages
 KIND = "a readable LAS, LAZ or COPC file, or truncated"
@@ -40,7 +39,7 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
         # one after the other: in parallel, a chunk is in memory as a whole
         options["laz_backend"] = laspy.LazBackend.Lazrs
         with (
-            io.BufferedReader(OneChunk(path, *unchunked)) as source,
+            in_one_chunk(path, *unchunked) as source,
             laspy.open(source, closefd=False, **options) as reader,
         ):
             yield reader
@@ -52,7 +51,7 @@ def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float]:
 
 
 def check_header(path: str | Path) -> tuple[int, int, int] | None:
-    """The arguments of :class:`OneChunk` for a file of compressed points without chunks; None for others.
+    """The arguments of :func:`in_one_chunk` for a file of compressed points without chunks; None for others.
 
     Raises ValueError for a header whose counts and offsets do not fit into the file (LAS specification 1.4-R15).
     """

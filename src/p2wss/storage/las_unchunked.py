@@ -6,9 +6,13 @@ table behind it.
 
 from __future__ import annotations
 
-import io
+import shutil
 import struct
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import lazrs
 
@@ -16,53 +20,21 @@ import lazrs
 UNCHUNKED, CHUNKED = 1, 2
 
 
-class OneChunk(io.RawIOBase):
-    """The bytes of a file without chunks, with what makes its stream a chunk, for reading.
+@contextmanager
+def in_one_chunk(path: str | Path, points_at: int, record_at: int, num_points: int) -> Iterator[IO[bytes]]:
+    """A temporary copy of a file without chunks, with what makes its stream a chunk.
 
     points_at: offset of the stream. record_at: of the content of LASzip's record in the file. num_points: of the file.
     """
-
-    def __init__(self, path: str | Path, points_at: int, record_at: int, num_points: int) -> None:
-        self._file = open(path, "rb")  # noqa: SIM115  closed with this
-        self._points_at, self._at = points_at, 0
-        end = Path(path).stat().st_size
-        head = bytearray(self._file.read(points_at))
+    end = Path(path).stat().st_size
+    with open(path, "rb") as file, tempfile.TemporaryFile() as copy:
+        head = bytearray(file.read(points_at))
         struct.pack_into("<H", head, record_at, CHUNKED)
         struct.pack_into("<I", head, record_at + 12, num_points)
-        self._head = bytes(head) + struct.pack("<q", end + 8)
         (length,) = struct.unpack_from("<H", head, record_at - 34)
-        table = io.BytesIO()
+        copy.write(bytes(head) + struct.pack("<q", end + 8))
+        shutil.copyfileobj(file, copy)
         vlr = lazrs.LazVlr(bytes(head[record_at : record_at + length]))
-        lazrs.write_chunk_table(table, [(num_points, end - points_at)], vlr)
-        self._table, self._table_at = table.getvalue(), end + 8
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._at
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        base = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._table_at + len(self._table)}[whence]
-        self._at = base + offset
-        return self._at
-
-    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        size = len(buffer)
-        if self._at < len(self._head):
-            content = self._head[self._at : self._at + size]
-        elif self._at < self._table_at:
-            self._file.seek(self._at - 8)
-            content = self._file.read(min(size, self._table_at - self._at))
-        else:
-            content = self._table[self._at - self._table_at :][:size]
-        buffer[: len(content)] = content
-        self._at += len(content)
-        return len(content)
-
-    def close(self) -> None:
-        self._file.close()
-        super().close()
+        lazrs.write_chunk_table(copy, [(num_points, end - points_at)], vlr)
+        copy.seek(0)
+        yield copy
