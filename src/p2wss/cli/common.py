@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NotRequired
 
@@ -96,12 +94,6 @@ def log_options(command: Any) -> Any:
     return command
 
 
-clean_option = option(
-    "--clean",
-    is_flag=True,
-    more=True,
-    help="delete files in OUT that an earlier run of the same name wrote and this one does not",
-)
 crs_option = option("--crs", more=True, help="CRS of clouds that do not state it, such as EPSG:28992")
 clouds_argument = click.argument(
     "clouds",
@@ -158,10 +150,9 @@ def write_run(
     start_s: float,
     formats: list[str] | None = None,
     name: str | None = None,
-    clean: bool = False,
 ) -> int:
     """Write the files of a run that began at ``start_s``, and log what was written, how many buildings are what, which
-    to check, and what to do next. clean: delete the files of earlier runs that this one does not write.
+    to check, and what to do next.
 
     Returns the exit status: 1 if a file is missing, or too many buildings, because of internal errors."""
     earlier = _delivered(out, f"{name or scene.name}.json")
@@ -173,11 +164,9 @@ def write_run(
     more = "" if wedges is None else f", {wedges} wedges"
     size = f"{counts['triangles']} triangles{more}"
     log.info("%s; %s, in %.0f s", scene.summary, size, time.monotonic() - start_s)
-    old = {path: digest for path, digest in earlier.items() if path not in content["sha256"]}
-    if left := {path: old[path] for path in sorted(old) if not (clean and _deleted(out, path, old[path]))}:
+    if left := sorted(earlier - content["sha256"].keys()):
         files.write_json(written[-1], content | {"earlier": left})
-        text = "warning: %s: of an earlier run, not of this one; --clean deletes what is unchanged: %s"
-        log.warning(text, out, _first(list(left)))
+        log.warning("warning: %s: of an earlier run, not of this one: %s", out, _first(left))
     if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
         log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
     if to_check := counts["to_check"]:
@@ -217,31 +206,19 @@ def _first(names: list[str]) -> str:
 
 
 class _Files(TypedDict):
-    """Of a summary: SHA-256 of the files of the run, and of those that earlier runs left."""
+    """Of a summary: SHA-256 of the files of the run, and the names of those that earlier runs left."""
 
     sha256: dict[str, str]
-    earlier: NotRequired[dict[str, str]]
+    earlier: NotRequired[list[str]]
 
 
-def _delivered(out: Path, summary: str) -> dict[str, str]:
+def _delivered(out: Path, summary: str) -> set[str]:
     """The files in ``out`` that the summary of a run lists; none without it, or if it is another file of this name."""
     try:
         listed: _Files = files.read_json(out / summary, _Files)
     except InputError:
-        return {}
-    both = listed["sha256"] | listed.get("earlier", {})
-    return {path: digest for path, digest in both.items() if (out / path).is_file()}
-
-
-def _deleted(out: Path, name: str, digest: str) -> bool:
-    """Delete a file, and its folder with the last one, if it is within ``out`` and as p2wss wrote it."""
-    path = (out / name).resolve()
-    if not path.is_relative_to(out.resolve()) or files.sha256(path) != digest:
-        return False
-    path.unlink()
-    with suppress(OSError):
-        os.removedirs(path.parent)
-    return True
+        return set()
+    return {path for path in (*listed["sha256"], *listed.get("earlier", ())) if (out / path).is_file()}
 
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:

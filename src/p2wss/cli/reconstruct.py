@@ -12,7 +12,6 @@ from click.core import ParameterSource
 from p2wss.cli import argument_checks, importing
 from p2wss.cli.common import (
     classes_option,
-    clean_option,
     config_option,
     crs_option,
     device_option,
@@ -70,7 +69,6 @@ OF_FOOTPRINTS = (
 @crs_option
 @setting("reconstruct.registration", help="move footprints to where the points show the buildings")
 @setting("reconstruct.vegetation", help="also write trees and clumps of plants, as closed volumes")
-@clean_option
 @option(
     "--model",
     type=PATH,
@@ -118,7 +116,6 @@ def reconstruct(
     model: Path | None,
     device: DeviceName,
     name: str | None,
-    clean: bool,
     **chosen: Any,
 ) -> int:
     """Reconstruct buildings from your own LiDAR and footprints.
@@ -153,4 +150,4 @@ def reconstruct(
 
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
     with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
-        return write_run(out, result, start, name=name, clean=clean)
+        return write_run(out, result, start, name=name)

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from p2wss.cli import argument_checks
-from p2wss.cli.common import clean_option, config_option, log_options, threads_option, write_run
+from p2wss.cli.common import config_option, log_options, threads_option, write_run
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import ALL, IGN, Config, load
 from p2wss.storage.errors import InputError
@@ -56,7 +56,6 @@ OUTPUTS = ["cityjson", "sionna", "glb", "report"]
 )
 @threads_option
 @log_options
-@clean_option
 @config_option
 @setting("region.classes.preset", "--classes")
 @setting(
@@ -70,7 +69,6 @@ def scene(
     radius_m: float,
     dry_run: bool,
     threads: int,
-    clean: bool,
     config: Config,
 ) -> int:
     """From a place on the map to a scene for radar: fetch its footprints, terrain and LiDAR, and reconstruct it.
@@ -111,4 +109,4 @@ def scene(
     with p2wss.reconstruct(
         data.clouds, data.footprints, terrain=data.terrain, config=config, threads=threads
     ) as result:
-        return write_run(out, result, start, name="scene", clean=clean)
+        return write_run(out, result, start, name="scene")

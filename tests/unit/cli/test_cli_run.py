@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 from datetime import datetime
-from hashlib import sha256
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
@@ -19,7 +18,6 @@ import p2wss
 from p2wss import cli
 from p2wss.cli import doctor
 from p2wss.reconstruct import area
-from p2wss.storage import files
 from p2wss.storage.arguments import EXTRAS
 from p2wss.towns import write_demo
 
@@ -81,7 +79,7 @@ def test_files_that_an_earlier_run_left_are_named(
         assert run(demo, tmp_path, "--ids", one, "--outputs", "glb,gpkg") == 0
         assert "earlier run" not in caplog.text
         assert run(demo, tmp_path, "--ids", one) == 0
-        assert "not of this one; --clean deletes what is unchanged: lidar.glb, lidar.gpkg" in caplog.text
+        assert "not of this one: lidar.glb, lidar.gpkg" in caplog.text
         caplog.clear()
         assert run(demo, tmp_path, "--ids", one) == 0
         assert "lidar.glb, lidar.gpkg" in caplog.text
@@ -89,26 +87,6 @@ def test_files_that_an_earlier_run_left_are_named(
         caplog.clear()
         assert run(demo, tmp_path, "--ids", one) == 0
     assert caplog.text.endswith(".ply and 2 more\n")
-
-
-def test_clean_deletes_what_earlier_runs_wrote_and_nothing_else(
-    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    one, out = gpd.read_file(demo / "footprints.gpkg")["cleabs"][0], tmp_path / "out"
-    assert run(demo, out, "--ids", one, "--outputs", "glb,gpkg,sionna,obj", "--clean") == 0
-    assert run(demo, out, "--ids", one, "--outputs", "glb", "--name", "other") == 0
-    assert run(demo, out, "--ids", one) == 0
-    # a file of the user's, one that p2wss wrote and the user changed, and a summary that lists files elsewhere
-    for path in (out / "lidar_notes.txt", out / "lidar.gpkg", tmp_path / "x"):
-        path.write_text("mine", encoding="utf-8")
-    summary = json.loads((out / "lidar.json").read_text(encoding="utf-8"))
-    summary["earlier"]["../x"] = sha256(b"mine").hexdigest()
-    files.write_json(out / "lidar.json", summary)
-    with caplog.at_level(logging.WARNING):
-        assert run(demo, out, "--ids", one, "--clean") == 0
-    kept = {"lidar.city.json", "lidar.json", "other.glb", "other.json", "lidar.gpkg", "lidar_notes.txt"}
-    assert {path.name for path in out.iterdir()} == kept and (tmp_path / "x").exists()
-    assert caplog.text.rstrip().endswith("unchanged: ../x, lidar.gpkg")
 
 
 def test_footprints_beyond_the_cloud_are_counted(
