@@ -238,10 +238,10 @@ def _put_cells_ahead(
         qx, qy = node[k].x - node[a].x, node[k].y - node[a].y
         across, along = abs(qx * dy - qy * dx), qx * dx + qy * dy
         is_near = across < _SAME_PLACE_M and -_SAME_PLACE_M < along < length + _SAME_PLACE_M
-        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:  # noqa: SIM102
-            if not _is_behind(places, faces, k):
-                near[num_near] = k
-                num_near += 1
+        is_near = is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m
+        if is_near and not _is_behind(places, faces, k):
+            near[num_near] = k
+            num_near += 1
     for i in range(num_near):
         k = near[i]
         if k == end_places[0] or k == end_places[1]:
@@ -285,9 +285,9 @@ def _place_on_edge(places: _Places, a: int, b: int, faces: tuple[int, int]) -> i
         across = abs(qx * dy - qy * dx)
         along = qx * dx + qy * dy
         is_near = across < best_m and 0.0 < along < length and k != a and k != b
-        if is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m:  # noqa: SIM102
-            if not _is_behind(places, faces, k):
-                best, best_m = k, across
+        is_near = is_near and abs(node[k].z - node[a].z - along * dz) < places.storey_m
+        if is_near and not _is_behind(places, faces, k):
+            best, best_m = k, across
     return best
 
 
