@@ -12,7 +12,7 @@ from snakemake.exceptions import WorkflowError
 from p2wss import config as configs
 from p2wss.data.tiling import TILE_PATTERN
 from p2wss.storage.errors import InputError
-from p2wss.eval import roofer_command
+from p2wss.config import roofer_command
 from p2wss.storage.provenance import fingerprint
 
 # numpy asks the kernel for huge pages, which costs a scan a fifth of its time

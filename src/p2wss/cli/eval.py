@@ -71,8 +71,9 @@ def eval_reconstruct(
 ) -> None:
     """Reconstruct the test split and the real LiDAR by one method."""
     set_num_threads(options["threads"])
+    from p2wss.config import roofer_command
     from p2wss.data.manifest import read_manifest
-    from p2wss.eval import cases, methods, roofer_command
+    from p2wss.eval import cases, methods
     from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
     from p2wss.nets.predictor import load_predictor
     from p2wss.nets.weights import read_weights

@@ -20,10 +20,9 @@ import pandas as pd
 import pyproj
 import shapely.affinity
 
-from p2wss.config import Eval
+from p2wss.config import Eval, roofer_command
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction, no_mesh
-from p2wss.eval import roofer_command
 from p2wss.eval.cases import Case
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid

@@ -13,9 +13,9 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-from p2wss.config import load
+from p2wss.config import load, roofer_command
 from p2wss.data.manifest import read_manifest
-from p2wss.eval import roofer, roofer_command
+from p2wss.eval import roofer
 from p2wss.eval.cases import test_cases
 from p2wss.storage.schemas.crops import REAL
 

@@ -23,10 +23,10 @@ from places import MINI
 from truth_network import TruthNetwork
 
 from p2wss import cli
-from p2wss.config import Config, Eval, load
+from p2wss.config import Config, Eval, load, roofer_command
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.manifest import Manifest, Shard, read_manifest
-from p2wss.eval import cases, figures, measure, methods, report, roofer_command, tables
+from p2wss.eval import cases, figures, measure, methods, report, tables
 from p2wss.eval.reconstructions import (
     RECONSTRUCTIONS,
     read_reconstructions,

@@ -14,9 +14,9 @@ from places import SHARED
 from scipy.spatial import cKDTree
 
 from p2wss import crops
-from p2wss.config import Config, Eval, Reconstruct, load
+from p2wss.config import Config, Eval, Reconstruct, load, roofer_command
 from p2wss.data.building import Reconstruction
-from p2wss.eval import cases, measure, methods, roofer_command, tables
+from p2wss.eval import cases, measure, methods, tables
 from p2wss.footprints import cleaning
 from p2wss.mesh.surface import sample_surface
 from p2wss.reconstruct.flat import lod1

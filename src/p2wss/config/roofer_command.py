@@ -12,7 +12,7 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-from p2wss.config import Eval
+from p2wss.config.eval import Eval
 from p2wss.storage.errors import InputError
 
 # beside recorded outputs: hashes of points that they were made from (p2wss.eval.roofer.cloud_sketch)
