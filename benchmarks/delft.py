@@ -30,7 +30,7 @@ from real_places import judged_file
 import p2wss
 
 VARIANTS = {
-    "--no-fit": ["--no-fit"],
+    "--model point2wss": ["--model", "point2wss"],
     "default": [],
     "--roofs parametric": ["--roofs", "parametric"],
     "detail: low": ["--config", '{"reconstruct": {"detail": "low"}}'],

@@ -1,7 +1,7 @@
 """Real houses with few points: how near planes and parametric roofs are to all points; the last line is JSON.
 
     python benchmarks/few_points.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
-    .. --model models/point2wss.safetensors       # also the network, and parametric roofs that start from it
+    .. --model models/point2wss.safetensors       # also the network
     .. --densities      # so many points per square metre, for the curve of docs/img/density.py
 
 Needs ``delft_ahn3`` and the judge, which are not part of the project.
@@ -101,8 +101,7 @@ def fits_of(
     fits |= {"parametric": fitting.fit(buildings, parametric)}
     fits |= {"supposed": fitting.fit([only_supposed(each) for each in buildings], config)}
     if predictor is not None:
-        network = reconstruct_with_network(buildings, predictor, config)
-        fits |= {"network": network, "network, parametric": fitting.fit(buildings, parametric, network)}
+        fits["network"] = reconstruct_with_network(buildings, predictor, config)
     return {"default": default} | {
         name: with_fallback(rows, buildings, config) for name, rows in fits.items()
     }
@@ -119,7 +118,7 @@ def main() -> int:
     if arguments.model is not None:
         from p2wss.nets.predictor import load_predictor
 
-        predictor = load_predictor(arguments.model).with_num_views(config.num_views)
+        predictor = load_predictor(arguments.model)
     figures = Figures()
     buildings = real.read(arguments.data, "delft", Config())
     half_b = set(sorted(building.building_id for building in buildings)[1::2])

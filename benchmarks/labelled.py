@@ -19,7 +19,7 @@ from p2wss.eval import cases, methods, parameters
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
 from p2wss.reconstruct.network import reconstruct_with_network
-from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.reconstruct.product import FIT, NETWORK
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.schemas.crops import SIMULATED
 
@@ -138,13 +138,12 @@ def causes(rows: list[Error]) -> dict[str, float]:
 
 
 def figures(manifest: Path, predictor: Any) -> dict[str, Any]:
-    """Errors on the test split: of the fit and, with a predictor, of the network alone and of the fit after it."""
+    """Errors on the test split: of the fit and, with a predictor, of the network."""
     labelled = read(manifest)
     buildings = [case.building for case in labelled]
     by_method = {FIT: fitting.fit(buildings, config())}
     if predictor is not None:
-        starts = reconstruct_with_network(buildings, predictor, config())
-        by_method |= {NETWORK: starts, NETWORK_AND_FIT: fitting.fit(buildings, config(), starts)}
+        by_method[NETWORK] = reconstruct_with_network(buildings, predictor, config())
     result: dict[str, Any] = {}
     for name, reconstructions in by_method.items():
         rows = errors(labelled, reconstructions)

@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WEIGHTS = ROOT / "models/point2wss.safetensors"
 NUM_COPIES, NUM_PER_GROUP, NUM_BUILDINGS, NUM_POINTS = 20, 4, 430_000, 40
 MAX_RATIO, MAX_MIB = 1.5, 4096
-WITH_NETWORK = ("point2wss", "point2wss+fit", "masked")
+WITH_NETWORK = ("point2wss", "masked")
 METHODS = (*WITH_NETWORK, "fit", "lod1", "constant")
 # the least that has any meaning: memory is that of the points and meshes, not of the samples on them
 CONFIG = json.dumps({"eval": {"baselines": ["lod1", "constant"], "num_samples": 256, "max_num_points": 256}})

@@ -1,7 +1,7 @@
 """Registration of footprints on real LiDAR against its bars; the last line is JSON.
 
     python benchmarks/registration.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
-    .. --model src/p2wss/weights/point2wss.safetensors     # with the network, else the fit alone
+    .. --model src/p2wss/weights/point2wss.safetensors     # the network in place of the fit
     p2wss towns --seed 7 --out town --lidar && .. --town town                 # simulated LiDAR instead
 
 Needs data and the judge, which are not part of the project.
@@ -224,7 +224,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--judge", type=Path, required=True)
-    parser.add_argument("--model", type=Path, default=None, help="weights of a network to start the fit from")
+    parser.add_argument("--model", type=Path, default=None, help="weights of a network, in place of the fit")
     parser.add_argument("--seeds", type=int, nargs="+", default=[30, 31, 32])
     parser.add_argument(
         "--town", type=Path, default=None, help="folder of a town with LiDAR, in place of Delft"

@@ -63,7 +63,7 @@ def read(data: Path, model: Path | None) -> Scene:
     features = footprints.read_footprints(folder / "footprints.gpkg", needs_crs=False)
     cleaned = footprints.clean_footprints(features, footprint_settings(config))
     cloud = clouds.read_clouds([folder / "ahn3.laz"], window(cleaned))
-    weights, predictor = weights_to_use(model, config.reconstruct), None
+    weights, predictor = weights_to_use(model), None
     if weights is not None:
         from p2wss.nets.predictor import load_predictor
 

@@ -82,9 +82,9 @@ def reconstruct(
     the buildings of these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run.
     terrain: a raster of heights, in which written meshes then stand. lines: ridges, valleys and other lines of roofs
     that a map knows, as footprints are given: planes may end there if the points do not contradict. detail: ``low``,
-    ``normal`` or ``high``. model: weights of Point2WSS, or ``"none"`` for no network at all; by default those that
-    come with the package where parametric roofs are asked for, and otherwise only a network that completes roofs of
-    few points. config: a file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
+    ``normal`` or ``high``. model: weights of Point2WSS, or ``"point2wss"`` for those of the package, for buildings as
+    that network predicts them; ``"none"`` for no network at all; by default a fit, with a network that completes roofs
+    of few points. config: a file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
     config/default.yaml describe every setting. threads: of the network; without one, as many processes fit. progress:
     whether to show a bar, or a function that is called with (number done, number in all).
 

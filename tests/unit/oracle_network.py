@@ -29,10 +29,6 @@ class Oracle:
         self.num_views = 4
         self.on_building = False
 
-    def with_num_views(self, num_views: int) -> Oracle:
-        self.num_views = num_views
-        return self
-
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Answer:
         self.rings += rings
         height = np.array([np.median(p[:, 2]) for p in points_m])

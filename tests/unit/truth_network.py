@@ -25,9 +25,6 @@ class TruthNetwork:
 
     max_num_vertices, on_building = 8, False
 
-    def with_num_views(self, num_views: int) -> TruthNetwork:
-        return self
-
     def __init__(
         self,
         true_cases: Sequence[cases.Case],

@@ -2,11 +2,11 @@
 
 In:  the crops, the weights of the model, the metrics of the trainings, pictures of the scans.
 Out: <results>/eval/medians.json (constant predictor); <results>/eval/parts/{group}/ per group of eval.shards_per_job
-     shards: {method}.parquet for point2wss, point2wss+fit, fit, masked (parameters with the footprint hidden, for Table 1)
+     shards: {method}.parquet for point2wss, fit, masked (parameters with the footprint hidden, for Table 1)
      and each of eval.baselines; measures.parquet. <results>/eval/: report.html and its tables as CSV and LaTeX.
 """
 
-WITH_NETWORK = ["point2wss", "point2wss+fit", "masked"]
+WITH_NETWORK = ["point2wss", "masked"]
 METHODS = [*WITH_NETWORK, "fit", *settings.eval.baselines]
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "worst"]
 

@@ -1,6 +1,6 @@
 """Reconstruct: buildings from real LiDAR, by the command that users type too.
 
-In:  <results>/fetch/{place}footprints.gpkg, <results>/fetch/lidar/{place}{tile}.laz with its neighbours, the weights of the model.
+In:  <results>/fetch/{place}footprints.gpkg, <results>/fetch/lidar/{place}{tile}.laz with its neighbours.
 Out: <results>/reconstruct/{place}{tile} with the suffix of each of reconstruct.outputs, its wedges on request, and {tile}.json, a summary.
 """
 
@@ -11,7 +11,6 @@ rule reconstruct_tile:
     input:
         footprints="<results>/fetch/{place}footprints.gpkg",
         clouds=lidar_around,
-        model=weights,
     output:
         [
             f"<results>/reconstruct/{{place}}{{tile}}{OUTPUT_SUFFIXES[name]}"
@@ -31,10 +30,10 @@ rule reconstruct_tile:
         runtime=lambda wildcards, attempt: 240 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
-        code=fingerprint("reconstruct", "nets.predictor", "formats.templates", "formats.assets"),
+        code=fingerprint("reconstruct", "formats.templates", "formats.assets"),
         folder=subpath(output.summary, parent=True),
     shell:
-        "p2wss reconstruct {input.clouds:q} {input.footprints:q} {params.folder:q} --model {input.model:q}"
+        "p2wss reconstruct {input.clouds:q} {input.footprints:q} {params.folder:q}"
         " --tile {wildcards.tile:q} --threads {threads} --config {params.config:q} 2> {log:q}"
 
 

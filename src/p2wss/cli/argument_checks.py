@@ -24,7 +24,7 @@ def check(
     _check_outputs(out, terrain, config)
     if tile is not None:
         bounds_of_tile(tile, config)
-    if weights_file.weights_to_use(model, config.reconstruct) is not None:
+    if weights_file.weights_to_use(model) is not None:
         _check_device(device)
 
 

@@ -52,11 +52,11 @@ def eval_medians(manifest: Path, out: Path) -> None:
 @option(
     "--method",
     required=True,
-    help="point2wss, point2wss+fit, fit, masked (parameters for Table 1), lod1, constant or roofer",
+    help="point2wss, fit, masked (parameters for Table 1), lod1, constant or roofer",
 )
 @manifest_option
 @_shards_option
-@file_option("--model", "weights written by p2wss model (point2wss, point2wss+fit, masked)", required=False)
+@file_option("--model", "weights written by p2wss model (point2wss, masked)", required=False)
 @file_option(
     "--medians",
     "JSON written by p2wss eval medians (constant; default: the medians of the shards that are evaluated)",

@@ -73,11 +73,10 @@ OF_FOOTPRINTS = (
     "--model",
     type=PATH,
     more=True,
-    help="weights of Point2WSS (safetensors), or none for no network at all (default: those that come with p2wss for "
-    "parametric roofs, otherwise only the network that completes roofs of few points)",
+    help="weights of Point2WSS (safetensors), or point2wss for those that come with p2wss: buildings as the network "
+    "predicts them; none: no network at all (default: a fit, and a network that completes roofs of few points)",
 )
 @device_option
-@setting("reconstruct.fit")
 @setting("reconstruct.roofs")
 @setting("reconstruct.max_triangles", type=int, default="", metavar="N")
 @setting("reconstruct.height_unit")

@@ -200,20 +200,10 @@ class Reconstruct(Section):
         gt=0,
         description="parametric roofs that would rise further above the eaves are cut off horizontally",
     )
-    fit: bool = Field(
-        True, description="fit eave heights and roof angles to the points; false = keep the network's values"
-    )
     completion: bool = Field(
         True,
         description="where a roof of planes has fewer than two points per square metre, begin with the roof that a "
         "network supposes between them; needs no torch",
-    )
-    num_views: int = Field(
-        1,
-        ge=1,
-        le=36,
-        description="number of rotated views averaged by the network before a fit; without a fit, "
-        "model.decoding.num_rotations applies",
     )
     roofs: Literal["planes", "parametric"] = Field(
         "planes",

@@ -68,10 +68,9 @@ class Reconstruction:
     rings: footprint of the mesh, relative to ``origin_xy_m`` like x and y of the mesh; z is above ``ground_z_m``.
     eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: bodies between which there
     are steps, or fitted parts; with several, ``eave_height_m`` is that of the largest one, and ``angle_deg`` are the
-    angles along the footprint. class_probability: (edges, 3), the network's probabilities that an edge has 0 degrees,
-    90 degrees or a slope. status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat
-    roof used as a fallback. surfaces: the planar polygons of the mesh that were found to be a valid solid, as files
-    have them; none before that. is_simplified: whether the points show more than a building may have.
+    angles along the footprint. status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a
+    flat roof used as a fallback. surfaces: the planar polygons of the mesh that were found to be a valid solid, as
+    files have them; none before that. is_simplified: whether the points show more than a building may have.
     num_lines_used: of the lines of ``Building.line_m``, those that are edges of the roof.
     """
 
@@ -86,7 +85,6 @@ class Reconstruction:
     angle_deg: np.ndarray | None
     mesh: Mesh | None
     num_parts: int = 1
-    class_probability: np.ndarray | None = None
     surfaces: Sequence[Surface] = ()
     is_simplified: bool = False
     num_lines_used: int = 0

@@ -19,8 +19,7 @@ matplotlib.rcParams |= {"text.parse_math": False, "svg.hashsalt": "p2wss"}
 
 COLORS = {
     "point2wss": "#e0996f",
-    "point2wss+fit": "#b4451f",
-    "fit": "#7b5ea7",
+    "fit": "#b4451f",
     "roofer": "#2a6f97",
     "lod1": "#6c757d",
     "constant": "#b8a13c",

@@ -14,15 +14,14 @@ from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Medians
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.reconstruct.network import Predictor, reconstruct_with_network
-from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT, reconstruct_buildings
+from p2wss.reconstruct.product import FIT, NETWORK, reconstruct_buildings
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 
 # the settings of Table 1 with the footprint hidden from the network, written by the method "masked": as in the paper
 # (signs visible), and with the signs masked too
 MASKED = ("all_masked", "all_masked_signs")
-WITH_NETWORK = (NETWORK, NETWORK_AND_FIT, "masked")
-NAMES = (NETWORK, NETWORK_AND_FIT, FIT, "masked", "lod1", "constant", roofer.METHOD)
+NAMES = (NETWORK, FIT, "masked", "lod1", "constant", roofer.METHOD)
 
 
 class MaskedPredictor(Predictor, Protocol):
@@ -35,7 +34,7 @@ class MaskedPredictor(Predictor, Protocol):
 
 
 class Inputs(NamedTuple):
-    """What methods need beside the buildings. predictor: of those of :data:`WITH_NETWORK`. medians: of the constant
+    """What methods need beside the buildings. predictor: of point2wss and masked. medians: of the constant
     predictor. crs: of the buildings, for Roofer."""
 
     config: Config
@@ -49,8 +48,8 @@ def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reco
 
     Cases for which it was not run are left out: all of them for a Roofer that cannot be run, those without labels for
     the masked settings. ``point2wss`` is the paper's method, the network with the views of its training; a building
-    that it cannot reconstruct has no mesh. ``point2wss+fit`` and ``fit`` are the results of ``p2wss reconstruct``; a
-    flat roof that it falls back to counts as the method's, with the reason as its status. ``constant``: all buildings
+    that it cannot reconstruct has no mesh. ``fit`` is the result of ``p2wss reconstruct``; a flat roof that it falls
+    back to counts as the method's, with the reason as its status. ``constant``: all buildings
     with the median height and angle. Raises :class:`InputError` for an unknown name.
     """
     if not cases:
@@ -64,10 +63,8 @@ def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reco
         return constant(buildings, height_m, inputs.medians.angle_deg, config)
     if method == roofer.METHOD:
         return roofer.reconstruct(cases, inputs.crs, inputs.config.eval)
-    if method == FIT or (method == NETWORK_AND_FIT and inputs.predictor is not None):
-        predictor = None if method == FIT else inputs.predictor
-        rows = reconstruct_buildings(buildings, predictor, config.model_copy(update={"fit": True}))
-        return [replace(row, method=method) for row in rows]
+    if method == FIT:
+        return [replace(row, method=FIT) for row in reconstruct_buildings(buildings, None, config)]
     if method == NETWORK and inputs.predictor is not None:
         return reconstruct_with_network(buildings, inputs.predictor, config)
     if method == "masked" and inputs.predictor is not None:

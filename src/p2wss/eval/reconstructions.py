@@ -30,7 +30,7 @@ RECONSTRUCTIONS = pa.schema(
         field(
             "method",
             pa.string(),
-            "point2wss, point2wss+fit, fit, lod1, constant or roofer; with the footprint hidden from the network: "
+            "point2wss, fit, lod1, constant or roofer; with the footprint hidden from the network: "
             "all_masked or all_masked_signs, then without a mesh",
         ),
         *STATUS,

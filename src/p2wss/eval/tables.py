@@ -15,14 +15,13 @@ from p2wss.config import Eval
 from p2wss.data import reasons
 from p2wss.data.seeds import generator
 from p2wss.eval.methods import MASKED
-from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.reconstruct.product import FIT, NETWORK
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 
 # in the order of the columns
 METHOD_NAMES = {
     "roofer": "Roofer",
     NETWORK: "Point2WSS",
-    NETWORK_AND_FIT: "Point2WSS + fit",
     FIT: "Fit alone",
     "lod1": "LoD1 (flat)",
     "constant": "Constant",
@@ -45,7 +44,6 @@ SETTINGS_1 = {
     "all_masked": "Point2WSS, all masked",
     "all_masked_signs": "Point2WSS, signs masked too",
     NETWORK: "Point2WSS, footprint given",
-    NETWORK_AND_FIT: "Point2WSS + fit",
     FIT: "Fit alone",
     "constant": "Constant predictor",
 }
@@ -115,9 +113,8 @@ def frame_of(measures: pa.Table, runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def main_method(runs: Sequence[Run]) -> str:
-    """Our best variant: the network with the fit if it was run, else the network, else the fit alone."""
-    methods = [run.method for run in runs]
-    return next((name for name in (NETWORK_AND_FIT, NETWORK, FIT) if name in methods), NETWORK)
+    """Our best variant: the fit if it was run, else the network."""
+    return FIT if any(run.method == FIT for run in runs) else NETWORK
 
 
 def table_1(measures: pa.Table) -> pd.DataFrame:

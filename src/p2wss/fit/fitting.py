@@ -1,10 +1,10 @@
-"""Buildings fitted to their points, starting from the network's reconstructions or from nothing."""
+"""Buildings fitted to their points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -17,8 +17,7 @@ from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.points import ground_points, shaft_points, wall_hits
-from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, fit_roof, roof_loss
-from p2wss.fit.roof.prior import make_prior
+from p2wss.fit.roof.fitter import MIN_NUM_POINTS, fit_roof
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Planes, Thresholds
 from p2wss.mesh import Mesh
@@ -32,37 +31,21 @@ _GROUND_INSIDE_M = 0.5
 
 
 def fit(
-    buildings: Sequence[Building],
-    config: Reconstruct,
-    initial: Sequence[Reconstruction | None] | None = None,
-    method: str = METHOD,
-    thresholds: Thresholds = THRESHOLDS,
+    buildings: Sequence[Building], config: Reconstruct, thresholds: Thresholds = THRESHOLDS
 ) -> list[Reconstruction]:
     """One reconstruction per building, in order: the solid below the planes that the points on its roof show. With too
     few points for planes, or where ``config.roofs`` asks for it, the parametric building nearest to them.
     Deterministic.
-
-    ``initial``: the network's reconstructions of the same buildings. Each is where the search of a parametric building
-    begins and, with few points above all, what the result is drawn towards. It remains the result where there are too
-    few points, the search finds nothing better, or the kernel rejects what the search finds.
     """
-    result = []
-    for building, start in zip(buildings, initial or [None] * len(buildings), strict=True):
-        reconstruction = fit_building(_Task(building, start, config, method, thresholds))
-        if not reconstruction.has_mesh and start is not None and start.has_mesh:
-            reconstruction = replace(start, method=method)
-        result.append(reconstruction)
-    return result
+    return [fit_building(_Task(building, config, thresholds)) for building in buildings]
 
 
 @dataclass(frozen=True)
 class _Task:
-    """One building to fit. initial: the network's reconstruction, if there is one."""
+    """One building to fit."""
 
     building: Building
-    initial: Reconstruction | None
     config: Reconstruct
-    method: str
     thresholds: Thresholds
 
 
@@ -99,10 +82,10 @@ def fit_building(task: _Task) -> Reconstruction:
     """The stations of a building from its points to its mesh, in order."""
     prepared = prepare(task)
     if isinstance(prepared, str):
-        return no_mesh(task.building, task.method, prepared)
+        return no_mesh(task.building, METHOD, prepared)
     solid = cover_with_planes(task, prepared) or raise_parametric(task, prepared)
     if isinstance(solid, str):
-        return no_mesh(task.building, task.method, solid)
+        return no_mesh(task.building, METHOD, solid)
     if (trace := TRACE.get()) is not None:
         trace.append((task.building.building_id, solid.planes))
     mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
@@ -177,22 +160,13 @@ def known_roof(task: _Task, prepared: _Prepared, supposed_m: np.ndarray, setting
 
 
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
-    """The parametric building of the paper that is nearest to the points, from the network's values or from nothing; a
-    reason without one."""
-    rings, point_m, initial = prepared.rings, prepared.point_m, task.initial
-    settings, top_m = task.thresholds.parametric, task.config.max_roof_height_m
-    if initial is None or initial.angle_deg is None or initial.eave_height_m is None or not initial.has_mesh:
-        prior, guesses = make_prior(rings, len(point_m)), []
-    else:
-        guess_deg, eave_m = initial.angle_deg, initial.eave_height_m
-        prior = make_prior(rings, len(point_m), guess_deg, initial.class_probability, eave_m)
-        guess = FittedRoof(rings, guess_deg, eave_m, np.inf)
-        guesses = [replace(guess, loss_m=roof_loss(guess, point_m, settings, prior, top_m))]
-    roof = fit_roof(rings, point_m, settings, guesses, prior, top_m)
+    """The parametric building of the paper that is nearest to the points; a reason without one."""
+    rings, top_m = prepared.rings, task.config.max_roof_height_m
+    roof = fit_roof(rings, prepared.point_m, task.thresholds.parametric, top_m)
     if roof is None:
         return reasons.NO_ROOF
     eave_m = max(roof.eave_z_m, task.config.min_eave_height_m)
-    mesh = kernel_mesh(rings, roof.angle_deg, eave_m, task.config.max_roof_height_m)
+    mesh = kernel_mesh(rings, roof.angle_deg, eave_m, top_m)
     if mesh is None:
         return reasons.NO_ROOF
     return _Solid(mesh, 1, roof.eave_z_m, roof.angle_deg, True)
@@ -208,7 +182,7 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
     return Reconstruction(
         building.building_id,
         building.tile,
-        task.method,
+        METHOD,
         reasons.OK,
         building.origin_xy_m,
         building.ground_z_m,

@@ -35,10 +35,9 @@ class Parametric:
     separate_slope_gain_m: float = 0.006
     # metres that whole degrees, and gables in place of steep ends, may cost
     rounding_m: float = 0.01
-    # degrees: of the hip and gable roofs that a search starts from, of slopes in place of a guess's flat edges, and all
-    # that are tried for an edge; a slope that differs by less is the same
+    # degrees: of the hip and gable roofs that a search starts from, and all that are tried for an edge; a slope that
+    # differs by less is the same
     start_deg: float = 42.0
-    low_deg: float = 18.0
     tried_deg: tuple[float, ...] = (0.0, 90.0, 18.0, USUAL_SLOPE_DEG, 57.0)
     same_slope_deg: float = 9.0
     # rounds of least squares: of each start, of each change that is tried, of what is kept
@@ -55,9 +54,12 @@ class Parametric:
     # weights of the present height and slope, in points: they keep a step small where the points do not determine it
     keep_eave: float = 1e-3
     keep_slope: float = 0.5
-    # smaller differences from a prior are weighted as if they were these, as reweighting would divide by zero
+    # metres, in the sum over the points: what each degree of difference from the usual slope costs, up to so many, so
+    # that it decides where there are few points; smaller differences are weighted as if they were the last figure, as
+    # reweighting would divide by zero
+    degree_cost_m: float = 0.003
+    max_off_deg: float = 20.0
     least_deg: float = 1.0
-    least_m: float = 0.1
     # a step that gains nothing is shortened to these shares
     steps: tuple[float, ...] = (1.0, 0.4, 0.16)
     # metres: a step is accepted that gains this much, and another round follows a gain of the second

@@ -7,33 +7,29 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from p2wss.config import Reconstruct
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
 
-# in place of a file of weights: no network
-NO_NETWORK = "none"
+# in place of a file of weights: no network, and that of the package
+NO_NETWORK, SHIPPED = "none", "point2wss"
 # the phrase of messages
 KIND = "a readable safetensors file"
 
 
-def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
-    """The file of weights: ``model``; by default none for roofs of planes, which a network brings no nearer to their
-    points, and for parametric buildings the one that came with the package, if there is one. None for no network, as
-    with the ``model`` "none".
+def weights_to_use(model: Path | None) -> Path | None:
+    """The file of weights of Point2WSS: ``model``, "point2wss" for the one that comes with the package; None for no
+    network of the paper, as with the ``model`` "none".
 
-    Raises :class:`InputError` if there is neither a network nor a fit.
+    Raises :class:`InputError` where the package has come without weights.
     """
-    weights = model
-    if model is None and (config.roofs == "parametric" or not config.fit):
-        weights = shipped_model()
-    if weights is not None and str(weights) == NO_NETWORK:
-        weights = None
-    if weights is None and not config.fit:
-        raise InputError(
-            "without the fit (--no-fit, reconstruct.fit) a network is required; name one with --model"
-        )
-    return weights
+    if model is None or str(model) == NO_NETWORK:
+        return None
+    if str(model) != SHIPPED:
+        return model
+    shipped = shipped_model()
+    if shipped is None:
+        raise InputError(f"--model {SHIPPED}: this p2wss has no weights; name a file")
+    return shipped
 
 
 def shipped_model() -> Path | None:

@@ -102,13 +102,13 @@ def check_inputs(
 ) -> Inputs:
     """The inputs of a run, cheap checks first.
 
-    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of Point2WSS, "none" for
-    no network at all; by default those that :func:`p2wss.nets.weights_file.weights_to_use` chooses. may_be_empty:
+    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of Point2WSS, "point2wss" for
+    those of the package, "none" for no network at all, that of few points included. may_be_empty:
     whether clouds and footprints may be without content, as in a tile. lines: of roofs, as a map knows them.
 
     Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
     """
-    weights = weights_to_use(None if model is None else Path(model), config.reconstruct)
+    weights = weights_to_use(None if model is None else Path(model))
     if weights is not None:
         read_metadata(weights, "model")
     footprints = None if footprints is None else as_footprints(footprints)

@@ -30,16 +30,13 @@ class Predictor(Protocol):
     def on_building(self) -> bool:
         """Whether it was trained on clouds of the points on a building alone, too, and should get those."""
 
-    def with_num_views(self, num_views: int) -> Predictor:
-        """The same network with predictions averaged over ``num_views`` views of a building."""
-
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         """The heights and angles of buildings with these points, each (n, 3) with z above the ground, and rings as in
         :class:`Building`."""
 
 
 def reconstruct_with_network(
-    buildings: Sequence[Building], predictor: Predictor, config: Reconstruct, method: str = "point2wss"
+    buildings: Sequence[Building], predictor: Predictor, config: Reconstruct
 ) -> list[Reconstruction]:
     """One reconstruction per building with the network's height and angles, in order.
 
@@ -50,7 +47,6 @@ def reconstruct_with_network(
     network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
     height = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in mesh_rings]
-    probability: list[np.ndarray | None] = [None] * len(buildings)
     status = [reasons.OK if len(b.point_m) else reasons.NO_POINTS for b in buildings]
     with_points = []
     for i, building in enumerate(buildings):
@@ -71,16 +67,9 @@ def reconstruct_with_network(
                 height[i] = max(float(prediction.eave_height_m[k]), config.min_eave_height_m)
                 angle_deg = transfer_angles(network_rings[i], prediction.angle_deg[k], mesh_rings[i])
                 angle[i] = kernel_angles(angle_deg)
-                probability[i] = transfer_angles(
-                    network_rings[i], prediction.class_probability[k], mesh_rings[i]
-                )
             else:
                 status[i] = reasons.FOOTPRINT_TOO_LARGE
-    reconstructions = build_meshes(buildings, mesh_rings, height, angle, method, config, status)
-    return [
-        replace(reconstruction, class_probability=edges)
-        for reconstruction, edges in zip(reconstructions, probability, strict=True)
-    ]
+    return build_meshes(buildings, mesh_rings, height, angle, "point2wss", config, status)
 
 
 def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:

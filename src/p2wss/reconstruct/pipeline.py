@@ -61,8 +61,8 @@ def run(
 ) -> list[Result]:
     """One result per feature, in their order.
 
-    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns. With a network its values are fitted to
-    the points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns. predictor: whose values buildings get, or
+    None, with which they are fitted to the points. progress: called from time to
     time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
     that their footprint states; else it is that of the neighbourhood. registrations: of each row, what moved it.
     """
@@ -321,7 +321,7 @@ class Rows:
 
         def without(first: int, trace: str) -> list[_Done]:
             some = [replace(row, failure=trace) for row in part(bare, first)]
-            return [(row.number, failed(row, method_name(self._predictor, config)), nan) for row in some]
+            return [(row.number, failed(row, method_name(self._predictor)), nan) for row in some]
 
         return Shared(
             lambda first: self._done(part(rows, first), config),
@@ -348,7 +348,7 @@ class Rows:
         usable = [row for row in rows if row.status == "ok"]
         done = reconstruct_buildings([row.building for row in usable], self._predictor, config)
         reconstructions = {row.number: each for row, each in zip(usable, done, strict=True)}
-        method = method_name(self._predictor, config)
+        method = method_name(self._predictor)
         results = []
         for row in rows:
             rejected = no_mesh(row.building, method, row.status)
@@ -359,7 +359,7 @@ class Rows:
 
     def _failed(self, row: Row, trace: str, config: Reconstruct) -> Result:
         """The result of a row at which the code failed: a flat roof if that can be had."""
-        method, row = method_name(self._predictor, config), replace(row, failure=trace)
+        method, row = method_name(self._predictor), replace(row, failure=trace)
 
         def flat(row: Row) -> Result:
             missing = no_mesh(row.building, method, reasons.INTERNAL_ERROR)

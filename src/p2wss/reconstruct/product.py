@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from p2wss.config import Reconstruct
@@ -13,8 +13,7 @@ from p2wss.reconstruct.network import Predictor, reconstruct_with_network, with_
 from p2wss.reconstruct.valid import simpler_fits, with_valid_solids
 
 # names of the methods, in files and reports
-NETWORK, FIT = "point2wss", fitting.METHOD
-NETWORK_AND_FIT, COMPLETION_AND_FIT = f"{NETWORK}+{FIT}", f"completion+{FIT}"
+NETWORK, FIT, COMPLETION_AND_FIT = "point2wss", fitting.METHOD, f"completion+{fitting.METHOD}"
 
 
 def reconstruct_buildings(
@@ -22,32 +21,23 @@ def reconstruct_buildings(
 ) -> list[Reconstruction]:
     """The product: one reconstruction per building, in order.
 
-    The network's values from ``config.num_views`` views are fitted to the points. With ``config.fit`` off they are
-    the result, from as many views as the model was trained for; without a predictor there is only the fit. With
-    ``config.completion``, a network supposes what roofs of planes are like between few points, and they are fitted to
-    that, too. Where these give no mesh, the result is a flat roof of the method ``lod1`` whose status has the reason
-    (:func:`p2wss.reconstruct.flat.with_fallback`). All meshes are valid solids (:mod:`p2wss.reconstruct.valid`).
+    With a predictor, each is the paper's building with the network's height and angles. Without one they are fitted to
+    the points; with ``config.completion``, a network supposes what roofs of planes are like between few points, and
+    they are fitted to that, too. Where these give no mesh, the result is a flat roof of the method ``lod1`` whose
+    status has the reason (:func:`p2wss.reconstruct.flat.with_fallback`). All meshes are valid solids
+    (:mod:`p2wss.reconstruct.valid`).
     """
-    initial = None
     if predictor is not None:
-        predictor = predictor.with_num_views(config.num_views) if config.fit else predictor
-        initial = reconstruct_with_network(buildings, predictor, config, NETWORK)
-    method = method_name(predictor, config)
-    if initial is None or config.fit:
-        starts = [None] * len(buildings) if initial is None else initial
-
-        def simpler(row: int) -> Iterator[Reconstruction]:
-            return simpler_fits(buildings[row], starts[row], method, config)
-
-        if predictor is None and config.completion and config.roofs == "planes":
+        predicted = reconstruct_with_network(buildings, predictor, config)
+        reconstructions = with_valid_solids(predicted, buildings)
+    else:
+        if config.completion and config.roofs == "planes":
             buildings = with_supposed_roofs(buildings)
         fits = [
             replace(fit, method=COMPLETION_AND_FIT) if len(building.supposed_m) else fit
-            for fit, building in zip(fitting.fit(buildings, config, initial, method), buildings, strict=True)
+            for fit, building in zip(fitting.fit(buildings, config), buildings, strict=True)
         ]
-        reconstructions = with_valid_solids(fits, buildings, simpler)
-    else:
-        reconstructions = with_valid_solids(initial, buildings)
+        reconstructions = with_valid_solids(fits, buildings, lambda row: simpler_fits(buildings[row], config))
     missing = [i for i, reconstruction in enumerate(reconstructions) if not reconstruction.has_mesh]
     flat = flat_roofs([reconstructions[i] for i in missing], [buildings[i] for i in missing], config)
     for i, valid in zip(missing, flat, strict=True):
@@ -62,8 +52,6 @@ def flat_roofs(
     return with_valid_solids(with_fallback(missing, buildings, config), buildings)
 
 
-def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
-    """``point2wss``, ``point2wss+fit`` or ``fit``."""
-    if predictor is None:
-        return FIT
-    return NETWORK_AND_FIT if config.fit else NETWORK
+def method_name(predictor: Predictor | None) -> str:
+    """``point2wss`` or ``fit``."""
+    return FIT if predictor is None else NETWORK

@@ -18,7 +18,7 @@ from p2wss.data.points import stride
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.measures import MeshMeasures, measure
-from p2wss.reconstruct.product import FIT
+from p2wss.reconstruct.product import NETWORK
 from p2wss.reconstruct.registration import Registration
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     if len(distance_m):
         residual_m, rmse_m = float(distance_m.mean()), float(np.sqrt((distance_m**2).mean()))
         share_within_20cm = float((distance_m <= _NEAR_M).mean())
-    is_fitted = status == "ok" and (config.fit or reconstruction.method == FIT)
+    is_fitted = status == "ok" and reconstruction.method != NETWORK
     is_far = residual_m > config.not_representable_m
     visible_share = _visible_share(building, on_building) if building.rings else float("nan")
     overhang_m = float("nan")

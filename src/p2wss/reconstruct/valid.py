@@ -61,17 +61,12 @@ def _on_footprint(reconstruction: Reconstruction) -> Reconstruction | None:
     return next(filter(None, (_as_valid_solid(reconstruction, candidate) for candidate in candidates)), None)
 
 
-def simpler_fits(
-    building: Building,
-    initial: Reconstruction | None,
-    method: str,
-    config: Reconstruct,
-) -> Iterator[Reconstruction]:
+def simpler_fits(building: Building, config: Reconstruct) -> Iterator[Reconstruction]:
     """Fits with fewer details than an invalid one: with fewer and fewer faces, at last the parametric building."""
     for factor in _PRICES:
         fewer = replace(THRESHOLDS, planes=THRESHOLDS.planes.times(factor))
-        yield from fitting.fit([building], config, [initial], method, fewer)
-    yield from fitting.fit([building], config.model_copy(update={"roofs": "parametric"}), [initial], method)
+        yield from fitting.fit([building], config, fewer)
+    yield from fitting.fit([building], config.model_copy(update={"roofs": "parametric"}))
 
 
 def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:

@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from p2wss.nets.prediction import Prediction
 
 if TYPE_CHECKING:
     from p2wss.clouds.reading import Cloud
@@ -65,7 +62,7 @@ def warm_network_input() -> None:
 
 
 def warm_product() -> None:
-    """Everything else: roofs of planes, the fit from a network's values, terrain."""
+    """Roofs of planes, the paper's buildings, terrain, and what a network is given, if there is torch."""
     import pyproj
     import shapely
 
@@ -86,7 +83,7 @@ def warm_product() -> None:
     features, cloud = sample()
     config = Reconstruct(detail="high")
     results = run(features, cloud, None, "sample", config)
-    run(features, cloud, _Network(), "sample", config.model_copy(update={"roofs": "parametric"}))
+    run(features, cloud, None, "sample", config.model_copy(update={"roofs": "parametric"}))
     # only a building of which there are few points
     house, within = features.geometry[1], shapely.contains_xy(features.geometry[1], cloud.x_m, cloud.y_m)
     ring = shapely.get_coordinates(house)[:-1]
@@ -155,18 +152,3 @@ def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
 
     x, y, z = np.ascontiguousarray(point_m.T)
     return Cloud(x, y, z, classification, pyproj.CRS(_CRS))
-
-
-class _Network:
-    """Hip roofs everywhere, in place of a network, which has nothing to compile."""
-
-    max_num_vertices, on_building = 64, False
-
-    def with_num_views(self, num_views: int) -> _Network:
-        return self
-
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
-        num_edges = [sum(map(len, each)) for each in rings]
-        probability = [np.tile([0.1, 0.2, 0.7], (n, 1)) for n in num_edges]
-        angle_deg = [np.full(n, 40.0) for n in num_edges]
-        return Prediction(np.full(len(rings), 6.0), angle_deg, probability)

@@ -78,7 +78,6 @@ WRONG = [
     ("cloud.laz", "footprints.gpkg", ["--model", "gone"], "gone: no such file"),
     ("cloud.laz", "footprints.gpkg", ["--model", "file"], "file: not a readable safetensors file"),
     ("cloud.laz", "footprints.gpkg", ["--model", "dvae.safetensors"], "not a model of p2wss"),
-    ("cloud.laz", "footprints.gpkg", ["--model", "none", "--no-fit"], "without the fit"),
     ("cloud.laz", "footprints.gpkg", ["--format", "glb", "--terrain", "gone.tif"], "gone.tif: no such file"),
     (
         "cloud.laz",

@@ -102,12 +102,12 @@ def test_a_wrong_argument_is_one_line(
 
 
 def test_later_configs_win_and_options_over_them(tmp_path: Path) -> None:
-    first, second = tmp_path / "a.yaml", '{"reconstruct": {"num_views": 3, "detail": "low"}}'
-    first.write_text("reconstruct: {num_views: 2, fit: false}")
+    first, second = tmp_path / "a.yaml", '{"reconstruct": {"buffer_m": 3, "detail": "low"}}'
+    first.write_text("reconstruct: {buffer_m: 2, wedges: true}")
     words = ["a", "b", "c", "--config", str(first), "--config", second, "--detail", "high", "--no-skin"]
     reconstruct = cli.program.get_command(click.Context(cli.program), "reconstruct")
     config = reconstruct.make_context("reconstruct", words).params["config"].reconstruct
-    assert (config.num_views, config.fit, config.detail, config.skin) == (3, False, "high", False)
+    assert (config.buffer_m, config.wedges, config.detail, config.skin) == (3, True, "high", False)
 
 
 @pytest.mark.parametrize("words", [[], ["-h"], ["eval"], ["fetch"], ["crops", "manifest", "--help"]])

@@ -23,7 +23,7 @@ from p2wss.nets.weights_file import shipped_model
 
 
 def test_files_named_after_the_cloud(place: Path) -> None:
-    assert run(place, "--no-fit") == 0
+    assert run(place) == 0
     assert sorted(p.name for p in (place / "out").iterdir()) == [
         "cloud.city.jsonl",
         "cloud.gpkg",
@@ -35,25 +35,13 @@ def test_files_named_after_the_cloud(place: Path) -> None:
     assert row["eave_height_m"] == pytest.approx(6.0) and row["ground_z_m"] == pytest.approx(101.0)
 
 
-def test_fitted_with_the_model_and_without(place: Path) -> None:
-    outs = {}
-    model = str(write_weights(place / "m"))
-    for name, options in {"point2wss+fit": ["--model", model], "fit": ["--model", "none"]}.items():
-        files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", name)]
-        assert cli.main(["reconstruct", *files, *options]) == 0
-        (outs[name],) = gpd.read_file(place / name / "cloud.gpkg").to_dict("records")
-        assert (outs[name]["status"], outs[name]["method"]) == ("ok", name)
-    # the flat roof that the points show, whatever the network said
-    assert outs["fit"]["angle_deg"] == outs["point2wss+fit"]["angle_deg"] == "0 0 0 0"
-    assert outs["fit"]["residual_m"] < 0.01
-
-
-def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    oracle = Oracle()
-    monkeypatch.setattr(predictor, "load_predictor", lambda path, device: oracle)
-    assert run(place, "--no-fit") == 0 and oracle.num_views == 4
-    assert run(place) == 0 and oracle.num_views == 1
-    assert run(place, "--config", '{"reconstruct": {"num_views": 3}}') == 0 and oracle.num_views == 3
+def test_without_a_model_the_points_decide(place: Path) -> None:
+    files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
+    assert cli.main(["reconstruct", *files]) == 0
+    (row,) = gpd.read_file(place / "out" / "cloud.gpkg").to_dict("records")
+    assert (row["status"], row["method"]) == ("ok", "fit")
+    # the flat roof that the points show
+    assert row["angle_deg"] == "0 0 0 0" and row["residual_m"] < 0.01
 
 
 def test_materials_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,33 +88,27 @@ def test_a_scene_for_sionna(place: Path, caplog: pytest.LogCaptureFixture) -> No
     assert run(place, *options, "--frequency-ghz", "0") == 2
 
 
-def test_neither_a_model_nor_a_fit_is_an_error(
-    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(weights_file, "shipped_model", lambda: None)
-    files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
-    assert cli.main(["reconstruct", *files, "--no-fit"]) == 2
-    assert "--model" in capsys.readouterr().err
-
-
-def test_shipped_weights_are_the_default_of_parametric_roofs(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_weights_of_the_package_have_a_name(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     came, own = write_weights(place / "point2wss.safetensors"), write_weights(place / "own")
     loaded: list[Path] = []
     monkeypatch.setattr(predictor, "load_predictor", lambda path, device: loaded.append(path) or Oracle())
-    for shipped, options, method, wanted in (
-        (came, [], "fit", []),
-        (came, ["--roofs", "parametric"], "point2wss+fit", [came]),
-        (came, ["--roofs", "parametric", "--model", "none"], "fit", []),
-        (came, ["--model", str(own)], "point2wss+fit", [own]),
-        (None, ["--roofs", "parametric"], "fit", []),
+    monkeypatch.setattr(weights_file, "shipped_model", lambda: came)
+    files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
+    for options, method, wanted in (
+        ([], "fit", []),
+        (["--roofs", "parametric"], "fit", []),
+        (["--model", "none"], "fit", []),
+        (["--model", "point2wss"], "point2wss", [came]),
+        (["--model", str(own)], "point2wss", [own]),
     ):
         loaded.clear()
-        monkeypatch.setattr(weights_file, "shipped_model", lambda shipped=shipped: shipped)
-        files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
         assert cli.main(["reconstruct", *files, *options]) == 0 and loaded == wanted
         assert gpd.read_file(place / "out" / "cloud.gpkg")["method"].tolist() == [method]
+    monkeypatch.setattr(weights_file, "shipped_model", lambda: None)
+    assert cli.main(["reconstruct", *files, "--model", "point2wss"]) == 2
+    assert "this p2wss has no weights; name a file" in capsys.readouterr().err
 
 
 def test_shipped_weights_are_found_in_the_package() -> None:
@@ -236,7 +218,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(place: Path, capfd: pytest.
 
 
 def test_skin_and_wedges_by_options(place: Path) -> None:
-    assert run(place, "--no-fit", "--skin", "--wedges") == 0
+    assert run(place, "--skin", "--wedges") == 0
     summary = json.loads((place / "out" / "cloud.json").read_text())
     assert summary["skin"] == {"blocks": 0, "buildings_in_blocks": 0, "not_joined": 0, "cut_from_terrain": 0}
     table = pd.read_parquet(place / "out" / "cloud.wedges.parquet")

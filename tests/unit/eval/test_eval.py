@@ -317,7 +317,7 @@ def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
 WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}}
 
 
-NAMES = ("point2wss", "point2wss+fit", "masked", "fit", "lod1", "constant", "roofer")
+NAMES = ("point2wss", "masked", "fit", "lod1", "constant", "roofer")
 SETTINGS = json.dumps(
     {
         "eval": {
@@ -340,7 +340,7 @@ def run(*arguments: object) -> None:
 def evaluate(manifest: Path, groups: list[list[Path]], folder: Path) -> list[Path]:
     """The commands as the rules run them, per group of shards."""
     run("medians", "--manifest", manifest, "--out", folder / "medians.json")
-    options = {name: ["--model", folder / "model.safetensors"] for name in NAMES[:3]}
+    options = {name: ["--model", folder / "model.safetensors"] for name in NAMES[:2]}
     options["constant"] = ["--medians", folder / "medians.json"]
     parts = [folder / "parts" / f"{number:04d}" for number in range(len(groups))]
     for part, shards in zip(parts, groups, strict=True):
@@ -389,7 +389,7 @@ def test_groups_of_shards_give_the_same_tables_as_all_shards_at_once(
     folders = [tmp_path / "whole", tmp_path / "split"]
     for folder, parts in zip(folders, (whole, split), strict=True):
         report_of(hamlet, folder, parts, "--metrics")
-    assert pq.read_metadata(whole[0] / "measures.parquet").num_rows == 5 * 28 + 2 * 16
+    assert pq.read_metadata(whole[0] / "measures.parquet").num_rows == 4 * 28 + 2 * 16
     for name in report.CAPTIONS:
         at_once, by_shard = ((folder / f"{name}.csv").read_text() for folder in folders)
         assert at_once == by_shard, name
@@ -407,7 +407,7 @@ def test_a_group_without_a_test_building_changes_nothing(hamlet: Path, tmp_path:
     groups = [[tmp_path / "a.parquet"], [tmp_path / "c.parquet"]]
     parts = evaluate(tmp_path / "manifest.json", groups, tmp_path / "with")
     report_of(tmp_path / "manifest.json", tmp_path / "with", parts, "--metrics")
-    assert [pq.read_metadata(part / "measures.parquet").num_rows for part in parts] == [7 * 16, 0]
+    assert [pq.read_metadata(part / "measures.parquet").num_rows for part in parts] == [6 * 16, 0]
     facts = files.read_metadata(parts[1] / "measures.parquet")["methods"]
     assert {name: of["status"] for name, of in facts.items() if name != "roofer"} == dict.fromkeys(
         NAMES[:-1], "ok"
@@ -453,7 +453,7 @@ def test_report_from_files_is_one_self_contained_page(
     assert {*re.findall(r'<a href="#([\w-]+)"', page)} <= {*re.findall(r' id="([\w-]+)"', page)}
     rows = re.findall(r"<tr><td>(.*?)</td>(.*?)</tr>", page.split('id="comparison"')[1].split("<h2")[0])
     bold = {name for name, cells in rows if "<strong>" in cells}
-    assert "Point2WSS + fit" in bold and not bold & {"LoD1 (flat)", "Constant"}
+    assert "Fit alone" in bold and not bold & {"LoD1 (flat)", "Constant"}
     assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
     assert "mu_CD" in (tmp_path / "table2.csv").read_text()
     for name in report.CAPTIONS:

@@ -1,9 +1,8 @@
-"""What the report calls point2wss+fit and fit is what ``p2wss reconstruct`` writes, building by building."""
+"""What the report calls fit is what ``p2wss reconstruct`` writes, building by building."""
 
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import geopandas as gpd
@@ -12,14 +11,11 @@ import numpy as np
 import pyproj
 import pytest
 import shapely
-from oracle_network import Oracle
-from places import ROOT
 
 from p2wss import cli, skeleton
 from p2wss.data.building import Reconstruction
 from p2wss.eval.reconstructions import read_reconstructions
 from p2wss.mesh.surface import sample_surface
-from p2wss.nets import predictor, weights
 from p2wss.reconstruct import exports
 from p2wss.skeleton.types import FaceKind, Polygons
 
@@ -72,15 +68,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("method", ["point2wss+fit", "fit"])
 def test_the_report_measures_the_product(
-    method: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = {"reconstruct": {"num_views": 2}, "crops": {"min_points": 10}}
-    oracles: list[Oracle] = []
-    monkeypatch.setattr(predictor, "load_predictor", lambda *_: oracles.append(Oracle()) or oracles[-1])
-    facts = {"version": "1", "code": "0", "config": {}, "dvae_config": {}}
-    monkeypatch.setattr(weights, "read_weights", lambda path, kind: ({}, facts))
+    config = {"crops": {"min_points": 10}}
     products: list[Reconstruction] = []
     write = exports.write
 
@@ -96,19 +87,16 @@ def test_the_report_measures_the_product(
     footprints, cloud, shard = place / "footprints.gpkg", place / "cloud.laz", tmp_path / "shard.parquet"
     run("crops", "real", "--tile", TILE, "--footprints", footprints, "--clouds", cloud, "--out", shard)
     run("crops", "manifest", "--out", tmp_path / "manifest.json", "--real", shard)
-    model = ["--model", tmp_path / "m.safetensors"] if method == "point2wss+fit" else []
     out = tmp_path / "out.parquet"
-    shutil.copy(ROOT / "models/point2wss.safetensors", tmp_path / "m.safetensors")
     files = ["--manifest", tmp_path / "manifest.json", "--out", out]
-    run("eval", "reconstruct", "--method", method, *files, *model)
-    run("reconstruct", cloud, footprints, tmp_path / "out", *model, "--tile", TILE)
+    run("eval", "reconstruct", "--method", "fit", *files)
+    run("reconstruct", cloud, footprints, tmp_path / "out", "--tile", TILE)
 
-    measured = {key[2]: row for key, row in read_reconstructions(out)[method].items()}
+    measured = {key[2]: row for key, row in read_reconstructions(out)["fit"].items()}
     assert len(measured) == len(HOUSES) + 2 == len(products)
-    assert [oracle.num_views for oracle in oracles] == ([2, 2] if model else [])
     for product in products:
         row = measured[product.building_id]
-        assert row.method == method and product.method in (method, "lod1")
+        assert row.method == "fit" and product.method in ("fit", "lod1")
         assert (row.status, row.num_parts, row.ground_z_m) == (
             product.status,
             product.num_parts,
@@ -118,7 +106,7 @@ def test_the_report_measures_the_product(
         if row.has_mesh:
             for name in ("vertex_m", "triangle", "kind", "label"):
                 assert np.array_equal(getattr(row.mesh, name), getattr(product.mesh, name))
-    # without a network to begin with, few points give a flat roof and none give nothing
-    assert [product.status == "ok" for product in products] == [True] * 5 + [bool(model)] * 2
-    assert [product.has_mesh for product in products] == [True] * 6 + [bool(model)]
-    assert [product.method == "lod1" for product in products] == [False] * 5 + [not model, False]
+    # few points give a flat roof and none give nothing
+    assert [product.status == "ok" for product in products] == [True] * 5 + [False] * 2
+    assert [product.has_mesh for product in products] == [True] * 6 + [False]
+    assert [product.method == "lod1" for product in products] == [False] * 5 + [True, False]

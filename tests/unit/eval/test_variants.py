@@ -20,12 +20,12 @@ from p2wss.eval import cases, measure, methods, parameters, tables
 from p2wss.eval.reconstructions import Key
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.reconstruct.flat import constant
-from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.reconstruct.product import FIT, NETWORK
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
 
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Config().reconstruct
-RUNS = [tables.Run(name, "ok") for name in (NETWORK, NETWORK_AND_FIT, FIT)]
+RUNS = [tables.Run(name, "ok") for name in (NETWORK, FIT)]
 TITLES = {SIMULATED: "Simulated", REAL: "Real"}
 
 
@@ -39,7 +39,7 @@ def reconstructions(hamlet_cases: list[cases.Case]) -> dict[str, dict[Key, Recon
     """From a network whose heights are 40 cm too high and whose roofs are all hips of 30 degrees."""
     inputs = methods.Inputs(Config(), TruthNetwork(hamlet_cases, wrong_m=0.4, slope_deg=30.0))
     every = [reconstructed(run.method, hamlet_cases, inputs) for run in RUNS]
-    return every[0] | every[1] | every[2]
+    return every[0] | every[1]
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +54,10 @@ def frame(table: pa.Table) -> pd.DataFrame:
 
 def test_each_variant_does_what_its_name_says(hamlet_cases: list[cases.Case], reconstructions: dict) -> None:
     for case in hamlet_cases[:16]:
-        network, network_and_fit, fit = (reconstructions[run.method][case.key] for run in RUNS)
-        assert network_and_fit.num_parts == fit.num_parts == 1, "one height on simulated buildings"
+        network, fit = (reconstructions[run.method][case.key] for run in RUNS)
+        assert fit.num_parts == 1, "one height on simulated buildings"
         assert case.eave_height_m is not None
-        assert abs((network_and_fit.eave_height_m or 0) - case.eave_height_m) < 0.15
+        assert abs((fit.eave_height_m or 0) - case.eave_height_m) < 0.15
         assert (network.eave_height_m or 0) - case.eave_height_m == pytest.approx(0.4, abs=1e-5)
 
 
@@ -66,7 +66,7 @@ def test_roof_edges_are_compared_with_the_labels(frame: pd.DataFrame) -> None:
     shares = frame.groupby(["dataset", "method"], observed=True)[
         ["false_edge_share", "missing_edge_share"]
     ].mean()
-    assert (shares.loc["simulated"].loc[["point2wss+fit", "fit"]] == 0).all(axis=None)
+    assert (shares.loc[("simulated", "fit")] == 0).all()
     assert shares.loc[("simulated", "point2wss")].between(0.1, 0.4).all() and shares.loc["real"].isna().all(
         axis=None
     )
@@ -146,10 +146,10 @@ def test_table_1_has_the_variants_over_all_and_over_seen_values(
     truth = np.concatenate([case.angle_deg for case in hamlet_cases[:16] if case.angle_deg is not None])
     of_network = errors["Point2WSS, footprint given MAE"]["Angles (°)"]
     assert of_network == pytest.approx(np.abs(truth - 30).mean(), abs=1e-4)
-    assert max(errors[f"{name} MAE"]["Height (m)"] for name in ("Point2WSS + fit", "Fit alone")) < 0.05
-    angles = [reconstructions[NETWORK_AND_FIT][case.key].angle_deg for case in hamlet_cases[:16]]
+    assert errors["Fit alone MAE"]["Height (m)"] < 0.05
+    angles = [reconstructions[FIT][case.key].angle_deg for case in hamlet_cases[:16]]
     is_seen = np.concatenate(parameters.seen_edges(hamlet_cases[:16], angles))
-    assert errors["Point2WSS + fit count"]["Angles, roof face seen (°)"] == is_seen.sum() <= len(truth)
+    assert errors["Fit alone count"]["Angles, roof face seen (°)"] == is_seen.sum() <= len(truth)
     assert errors["Point2WSS, all masked count"].sum() == 0
 
 
@@ -175,12 +175,12 @@ def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table, frame:
 
 
 def test_the_worst_buildings_come_first(frame: pd.DataFrame) -> None:
-    assert tables.main_method(RUNS) == NETWORK_AND_FIT
+    assert tables.main_method(RUNS) == FIT
     ranked = tables.ranked(frame, RUNS)
     worst = tables.worst(ranked, TITLES, 5)
     assert list(worst["Data set"]).count("Simulated") == list(worst["Data set"]).count("Real") == 5
     for dataset, title in TITLES.items():
-        rows = frame[(frame["dataset"] == dataset) & (frame["method"] == NETWORK_AND_FIT)]
+        rows = frame[(frame["dataset"] == dataset) & (frame["method"] == FIT)]
         expected = rows["points_to_mesh_m"].sort_values(ascending=False)[:5]
         assert list(worst.loc[worst["Data set"] == title, "Points to mesh (m)"]) == list(expected)
     without = frame.assign(points_to_mesh_m=frame["points_to_mesh_m"].where(frame["building_id"] != "b30"))

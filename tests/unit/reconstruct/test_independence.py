@@ -77,14 +77,14 @@ def reconstructions(
     return result
 
 
-@pytest.mark.parametrize("method", ["fit", "point2wss", "point2wss+fit"])
+@pytest.mark.parametrize("method", ["fit", "point2wss"])
 def test_a_building_does_not_depend_on_the_rest_of_the_run(
     town: tuple[gpd.GeoDataFrame, Cloud], method: str
 ) -> None:
     frame, cloud = town
     weights = ROOT / "models/point2wss.safetensors"
     predictor = None if method == "fit" else load_predictor(weights, "cpu")
-    config = Reconstruct(fit="fit" in method)
+    config = Reconstruct()
     together = reconstructions(frame, cloud, predictor, config)
     assert len(together) == NUM_BUILDINGS and {row[0] for row in together.values()} == {"ok"}
     assert len({row[-1] for row in together.values()}) == NUM_BUILDINGS

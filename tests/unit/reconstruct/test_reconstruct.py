@@ -35,7 +35,7 @@ from p2wss.storage.errors import InputError
 
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)
-NETWORK_ALONE = Reconstruct(fit=False)
+NETWORK_ALONE = Reconstruct()
 
 
 def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:

@@ -88,13 +88,13 @@ def test_simpler_fits_have_fewer_faces_then_the_parameters_of_the_paper(
     asked = []
 
     def fit(buildings: Any, config: Reconstruct, *others: Any) -> list[Reconstruction]:
-        thresholds = others[2] if len(others) == 3 else THRESHOLDS
+        thresholds = others[0] if others else THRESHOLDS
         dearer = thresholds.planes.prices.face_m3 / THRESHOLDS.planes.prices.face_m3
         asked.append((config.detail, config.roofs, dearer))
         return [pyramid(8)]
 
     monkeypatch.setattr(fitting, "fit", fit)
-    list(simpler_fits(building(), None, "fit", Reconstruct(detail="high")))
+    list(simpler_fits(building(), Reconstruct(detail="high")))
     assert asked == [*(("high", "planes", factor) for factor in (2, 4, 8)), ("high", "parametric", 1)]
 
 

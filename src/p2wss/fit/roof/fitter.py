@@ -9,7 +9,6 @@ import numpy as np
 
 from p2wss.fit.directions import edge_ends, turn_between
 from p2wss.fit.points import even_order, every_kth
-from p2wss.fit.roof.prior import Prior
 from p2wss.fit.roof.solve import Problem, Roofs, evaluate, improved
 from p2wss.fit.settings import PARAMETRIC, Parametric
 from p2wss.skeleton import Polygons
@@ -24,7 +23,7 @@ class FittedRoof:
     """A roof of the kernel over a polygon.
 
     rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or 5 to 75. eave_z_m: height of
-    the eaves. loss_m: mean residual of the points, with what the prior adds.
+    the eaves. loss_m: mean residual of the points, with what slopes cost.
     """
 
     rings: Sequence[np.ndarray]
@@ -37,30 +36,28 @@ def fit_roof(
     rings: Sequence[np.ndarray],
     point_m: np.ndarray,
     settings: Parametric = PARAMETRIC,
-    guesses: Sequence[FittedRoof] = (),
-    prior: Prior | None = None,
     max_roof_height_m: float = np.inf,
 ) -> FittedRoof | None:
     """The best roof over a polygon for the points (m, 3) inside it, which are in the frame of the rings, with whole
     degrees where that costs little. None with fewer than three points or a polygon that the kernel refuses.
     Deterministic, whatever the order of the points.
 
-    guesses: roofs to start from, besides a few simple ones. max_roof_height_m: above the eave.
+    max_roof_height_m: above the eave.
 
-    The loss is never above that of a flat roof or of a guess.
+    The loss is never above that of a flat roof.
     """
     if len(point_m) < MIN_NUM_POINTS:
         return None
     ordered_m = point_m[even_order(point_m)]
     polygon = Polygons.from_rings([list(rings)])
     direction, axis = edge_groups(rings)
-    whole = Problem(polygon, ordered_m, direction, prior, settings, max_roof_height_m)
+    degree_cost_m = settings.degree_cost_m / len(point_m)
+    whole = Problem(polygon, ordered_m, direction, degree_cost_m, settings, max_roof_height_m)
     sample, last = (
         replace(whole, point_m=ordered_m[every_kth(len(ordered_m), count)])
         for count in (settings.num_search_points, settings.num_points)
     )
-    guess_deg = [np.asarray(guess.angle_deg, float) for guess in guesses]
-    starts = improved(sample, evaluate(sample, _starts(axis, guess_deg, settings)), settings.num_start_rounds)
+    starts = improved(sample, evaluate(sample, _starts(axis, settings)), settings.num_start_rounds)
     if not np.isfinite(starts.loss_m).any():
         return None
     found = _descended(sample, starts.best())
@@ -68,22 +65,7 @@ def fit_roof(
         last, improved(last, evaluate(last, found.angle_deg, found.eave_z_m), settings.num_last_rounds)
     )
     at_end = evaluate(whole, roof.angle_deg, roof.eave_z_m)
-    fitted = FittedRoof(rings, at_end.angle_deg[0], float(at_end.eave_z_m[0]), float(at_end.loss_m[0]))
-    return min([fitted, *guesses], key=lambda each: each.loss_m)
-
-
-def roof_loss(
-    roof: FittedRoof,
-    point_m: np.ndarray,
-    settings: Parametric = PARAMETRIC,
-    prior: Prior | None = None,
-    max_roof_height_m: float = np.inf,
-) -> float:
-    """Loss of a roof on points (m, 3), metres; one outside counts as far away."""
-    polygon = Polygons.from_rings([list(roof.rings)])
-    problem = Problem(polygon, point_m, np.zeros(0, int), prior, settings, max_roof_height_m)
-    angle_deg, eave_z_m = np.array([roof.angle_deg], float), np.array([roof.eave_z_m])
-    return float(evaluate(problem, angle_deg, eave_z_m).loss_m[0])
+    return FittedRoof(rings, at_end.angle_deg[0], float(at_end.eave_z_m[0]), float(at_end.loss_m[0]))
 
 
 def edge_groups(rings: Sequence[np.ndarray], same_deg: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
@@ -105,13 +87,12 @@ def edge_groups(rings: Sequence[np.ndarray], same_deg: float = 12.0) -> tuple[np
     return groups[0], groups[1]
 
 
-def _starts(axis: np.ndarray, guess_deg: Sequence[np.ndarray], settings: Parametric) -> np.ndarray:
-    """Angles (k, n) of the roofs that a search starts from: a flat one, a hip roof, gable roofs along the two main
-    axes, and the guesses, also with slopes in place of edges of 0 degrees, which flatten the roof around them."""
+def _starts(axis: np.ndarray, settings: Parametric) -> np.ndarray:
+    """Angles (k, n) of the roofs that a search starts from: a flat one, a hip roof, and gable roofs along the two main
+    axes."""
     steep = np.full(len(axis), settings.start_deg)
     gables = [np.where(axis == number, steep, 90.0) for number in range(min(axis.max() + 1, 2))]
-    sloped = [np.where(each == 0.0, settings.low_deg, each) for each in guess_deg]
-    return np.array([np.zeros(len(axis)), steep, *gables, *guess_deg, *sloped])
+    return np.array([np.zeros(len(axis)), steep, *gables])
 
 
 def _descended(problem: Problem, roof: Roofs) -> Roofs:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from p2wss.fit.roof.prior import Prior
-from p2wss.fit.settings import Parametric
+from p2wss.fit.settings import USUAL_SLOPE_DEG, Parametric
 from p2wss.skeleton import Polygons, Status, roof_points
 from p2wss.skeleton.angles import slope_angles, tangents
 
@@ -20,14 +19,14 @@ from p2wss.skeleton.angles import slope_angles, tangents
 class Problem:
     """A polygon and the points over it.
 
-    polygon: one. point_m: (m, 3). direction: int (n,), edges of the same number share their slope. max_roof_height_m:
-    above the eave.
+    polygon: one. point_m: (m, 3). direction: int (n,), edges of the same number share their slope. degree_cost_m: what
+    a slope costs for each degree by which it differs from the usual one. max_roof_height_m: above the eave.
     """
 
     polygon: Polygons
     point_m: np.ndarray
     direction: np.ndarray
-    prior: Prior | None
+    degree_cost_m: float
     settings: Parametric
     max_roof_height_m: float
 
@@ -67,7 +66,7 @@ class Roofs:
 def evaluate(problem: Problem, angle_deg: np.ndarray, eave_z_m: np.ndarray | None = None) -> Roofs:
     """The roofs of angles (k, n) and eaves (k,); by default at the heights that leave half of the points above.
 
-    The loss is the mean over the points of the distance to the roof, at most the cap, and the cost of the prior;
+    The loss is the mean over the points of the distance to the roof, at most the cap, and what unusual slopes cost;
     infinite where the kernel refuses the roof.
     """
     (k, n), m, settings = angle_deg.shape, len(problem.point_m), problem.settings
@@ -93,8 +92,9 @@ def evaluate(problem: Problem, angle_deg: np.ndarray, eave_z_m: np.ndarray | Non
         )
     residual_m = (eave_z_m[:, None] - above_m) * _cosine(angle_deg, edge)
     loss_m = np.fmin(np.abs(residual_m), settings.cap_m).mean(axis=1)
-    if problem.prior is not None:
-        loss_m = loss_m + problem.prior.cost_m(angle_deg, eave_z_m)
+    off_deg = np.minimum(np.abs(angle_deg - USUAL_SLOPE_DEG), settings.max_off_deg)
+    is_slope = (angle_deg > 0.0) & (angle_deg < 90.0)
+    loss_m = loss_m + np.where(is_slope, problem.degree_cost_m * off_deg, 0.0).sum(axis=1)
     loss_m = np.where(over.status == Status.OK, loss_m, np.inf)
     return Roofs(angle_deg, eave_z_m, loss_m, edge, rise_m, residual_m)
 
@@ -135,7 +135,7 @@ def improved(problem: Problem, roofs: Roofs, num_rounds: int, only_eaves: bool =
 def _least_squares(problem: Problem, roofs: Roofs, only_eaves: bool) -> tuple[np.ndarray, np.ndarray]:
     """Angles (k, n) and eaves (k,) that fit best to the points, weighted by their residuals, while each keeps its
     face."""
-    settings, prior = problem.settings, problem.prior
+    settings = problem.settings
     angle_deg, edge = roofs.angle_deg, roofs.edge
     k, m = edge.shape
     is_slope = (angle_deg > 0.0) & (angle_deg < 90.0)
@@ -163,17 +163,11 @@ def _least_squares(problem: Problem, roofs: Roofs, only_eaves: bool) -> tuple[np
     keep = np.column_stack([np.full(k, settings.keep_eave), np.full((k, num_slopes), settings.keep_slope)])
     square[:, diagonal, diagonal] += keep
     right += keep * np.column_stack([roofs.eave_z_m, mean])
-    if prior is not None:
-        eave_weight = (
-            m * prior.eave_cost / np.maximum(np.abs(roofs.eave_z_m - prior.eave_z_m), settings.least_m)
-        )
-        square[:, 0, 0] += eave_weight
-        right[:, 0] += eave_weight * prior.eave_z_m
-        per_tangent = 1.0 / np.radians(1.0 + tangent**2)
-        off_deg = np.maximum(np.abs(angle_deg - prior.slope_deg), settings.least_deg)
-        slope_weight = np.where(is_slope, m * prior.degree_cost_m * per_tangent**2 / off_deg, 0.0)
-        square[:, diagonal[1:], diagonal[1:]] += slope_weight @ in_direction.T
-        right[:, 1:] += (slope_weight * tangents(prior.slope_deg)) @ in_direction.T
+    per_tangent = 1.0 / np.radians(1.0 + tangent**2)
+    off_deg = np.maximum(np.abs(angle_deg - USUAL_SLOPE_DEG), settings.least_deg)
+    slope_weight = np.where(is_slope, m * problem.degree_cost_m * per_tangent**2 / off_deg, 0.0)
+    square[:, diagonal[1:], diagonal[1:]] += slope_weight @ in_direction.T
+    right[:, 1:] += (slope_weight * tangents(np.array(USUAL_SLOPE_DEG))) @ in_direction.T
     solution = np.linalg.solve(square, right[:, :, None])[:, :, 0]
     if only_eaves:
         return angle_deg, solution[:, 0]

@@ -1,7 +1,5 @@
 """Fits of one height against buildings with known parameters."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import shapely
@@ -9,9 +7,9 @@ from toy_roofs import sample
 
 from p2wss.data.points import points_on_building
 from p2wss.fit.points import even_order, every_kth
-from p2wss.fit.roof.fitter import FittedRoof, edge_groups, fit_roof, roof_loss
-from p2wss.fit.roof.prior import make_prior
-from p2wss.fit.settings import Parametric
+from p2wss.fit.roof.fitter import edge_groups, fit_roof
+from p2wss.fit.roof.solve import Problem, evaluate
+from p2wss.fit.settings import PARAMETRIC, Parametric
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof_points_of_kernel
 
@@ -84,18 +82,29 @@ def test_edges_that_face_the_same_way_have_different_slopes_where_the_points_sho
     assert together.loss_m > fit.loss_m + 0.02
 
 
+def loss_m(rings, angle_deg, eave_z_m, point_m, max_roof_height_m=np.inf, degree_cost_m=0.0):
+    problem = Problem(
+        Polygons.from_rings([list(rings)]),
+        point_m,
+        np.zeros(0, int),
+        degree_cost_m,
+        PARAMETRIC,
+        max_roof_height_m,
+    )
+    return evaluate(problem, np.array([angle_deg], float), np.array([eave_z_m])).loss_m[0]
+
+
 @pytest.mark.parametrize("seed", range(6))
-def test_never_worse_than_the_guess_or_a_flat_roof(seed):
+def test_never_worse_than_a_flat_roof(seed):
     rng = np.random.default_rng(seed)
     angle_deg = rng.choice([0, 90, 25, 45, 60.0], len(ELL))
     point_m = sample([ELL], angle_deg, 5.0, 80, noise_m=0.3, seed=seed)
     point_m = point_m[np.isfinite(point_m[:, 2])]
-    guess = FittedRoof([ELL], rng.choice([0, 90, 30, 50.0], len(ELL)), 5.2, np.inf)
-    guess = replace(guess, loss_m=roof_loss(guess, point_m))
-    fit = fit_roof([ELL], point_m, guesses=[guess])
+    fit = fit_roof([ELL], point_m)
     flat = np.abs(point_m[:, 2] - np.median(point_m[:, 2])).clip(max=1.0).mean()
-    assert fit.loss_m <= min(flat, guess.loss_m) + 1e-9
-    assert roof_loss(fit, point_m) == pytest.approx(fit.loss_m, abs=1e-12)
+    assert fit.loss_m <= flat + 1e-9
+    again = loss_m([ELL], fit.angle_deg, fit.eave_z_m, point_m, degree_cost_m=0.003 / len(point_m))
+    assert again == pytest.approx(fit.loss_m, abs=1e-12)
 
 
 def test_same_result_whatever_the_order_of_the_points():
@@ -106,36 +115,11 @@ def test_same_result_whatever_the_order_of_the_points():
     assert first.eave_z_m == again.eave_z_m
 
 
-# probabilities of 0 degrees, 90 degrees and a slope
-SURE_GABLE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] * 2)
-
-
-def test_a_network_decides_where_points_are_few_and_gives_way_to_many():
-    """Points of a gable along x; the network took it for a gable along y, two degrees and 0.2 m off."""
-    network_deg = np.array([90, 37, 90, 37.0])
-    many = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 400, noise_m=0.03)
-    few = np.array([[5.5, 3.5, 8.4], [5.4, 3.4, 8.4], [5.6, 3.6, 8.4]])
-    guess = FittedRoof([RECTANGLE], network_deg, 6.2, np.inf)
-    prior = make_prior([RECTANGLE], len(few), network_deg, SURE_GABLE, 6.2)
-    # the eave of the network is too high for its slopes, so both give way a little
-    np.testing.assert_allclose(
-        fit_roof([RECTANGLE], few, guesses=[guess], prior=prior).angle_deg, network_deg, atol=3
-    )
-    prior = make_prior([RECTANGLE], len(many), network_deg, SURE_GABLE, 6.2)
-    fit = fit_roof([RECTANGLE], many, guesses=[guess], prior=prior)
-    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
-
-
-def test_the_prior_is_part_of_the_loss():
-    point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 50)
-    fit = fit_roof([RECTANGLE], point_m)
-    probability = np.array([[0.01, 0.01, 0.98], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98], [0.01, 0.09, 0.9]])
-    prior = make_prior([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), probability, 6.0 + 2.0)
-    more = roof_loss(fit, point_m, prior=prior) - roof_loss(fit, point_m)
-    # a class ten times less probable and the eave 2 m off
-    assert more == pytest.approx(
-        (np.log(10) * 0.0125 + 2 * 0.075) / 50 + np.log(10) * 0.002 + 2 * 0.01, rel=0.05
-    )
+def test_unusual_slopes_cost_a_little():
+    """Up to 20 degrees count, of slopes alone."""
+    point_m = sample([RECTANGLE], [35, 90, 60, 90], 6.0, 50)
+    values = [RECTANGLE], [35, 90, 60, 90], 6.0, point_m
+    assert loss_m(*values, degree_cost_m=0.01) - loss_m(*values) == pytest.approx(0.01 * (3 + 20))
 
 
 def test_too_few_points_give_no_roof():
@@ -166,15 +150,14 @@ def test_the_loss_is_that_of_the_roof_of_the_kernel(top_m):
     )  # fmt: skip
     cosine = np.where(exact.edge >= 0, np.cos(np.radians(angle_deg[exact.edge])), 1.0)
     expected = np.minimum(np.abs(exact.z_m - point_m[:, 2]) * cosine, 1.0).mean()
-    loss = roof_loss(FittedRoof([ELL], angle_deg, 5.0, 0.0), point_m, max_roof_height_m=top_m)
+    loss = loss_m([ELL], angle_deg, 5.0, point_m, top_m)
     assert loss == pytest.approx(expected, abs=1e-9)
 
 
 def test_points_outside_count_in_full():
     ring = np.array([[0, 0], [9, 0], [9, 5], [0, 5.0]])
     point_m = np.array([[4, 2.5, 5.0], [-0.1, 2, 5.0], [4, 5.2, 5.0], [8.9, 2, 5.25]])
-    flat = FittedRoof([ring], np.zeros(4), 5.0, 0.0)
-    assert roof_loss(flat, point_m) == pytest.approx((0 + 1 + 1 + 0.25) / 4)
+    assert loss_m([ring], np.zeros(4), 5.0, point_m) == pytest.approx((0 + 1 + 1 + 0.25) / 4)
 
 
 def test_the_order_of_points_in_the_file_does_not_matter():
