@@ -41,8 +41,7 @@ class Names(event.Listener):
         self.names[f"{function.__module__}.{function.__qualname__}"] += function.__module__.startswith("p2wss.")
     def on_end(self, ended): pass
 event.register("numba:compile", Names())
-for task in warm_up.TASKS:
-    task()
+warm_up.warm_product()
 print(json.dumps({"cpu_s": time.process_time(), "compiled": +Names.names}))
 """
 

@@ -21,14 +21,12 @@ def warm_up(with_scans: bool) -> None:
     if marker is not None and marker.exists():
         log.info("all code is already compiled")
         return
-    tasks = list(of_reconstruct.TASKS)
+    start = time.monotonic()
+    of_reconstruct.warm_product()
     if with_scans:
         from p2wss.scans.warm_up import warm_survey
 
-        tasks.append(warm_survey)
-    start = time.monotonic()
-    for task in tasks:
-        task()
+        warm_survey()
     fingerprint("reconstruct")  # kept beside the compiled code, too
     log.info("compiled in %.0f s", time.monotonic() - start)
     if marker is not None:

@@ -1,6 +1,6 @@
 """Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings.
 
-Each function is compiled for one set of types. Imports are inside, so that each task loads only what it needs.
+Imports are inside, so that the marker is found at once.
 """
 
 from __future__ import annotations
@@ -37,28 +37,6 @@ def marker(with_scans: bool) -> Path | None:
     computer = platform.python_version(), numba.__version__, get_host_cpu_name()
     digest.update(repr((computer, with_scans)).encode())
     return folder / f"warm-up.{digest.hexdigest()}"
-
-
-def warm_footprints_and_meshes() -> None:
-    """Cleaning footprints, finding their points, meshes, whether solids are valid."""
-    from p2wss import skeleton
-    from p2wss.clouds.crops import crop_cloud
-    from p2wss.mesh import Mesh
-    from p2wss.mesh.repair import surfaces_to_write
-
-    square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
-    crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), square)
-    meshes = skeleton.build(square, np.full(4, 40.0), np.full(1, 5.0))
-    surfaces_to_write(Mesh.of_kernel(meshes, 0))
-
-
-def warm_network_input() -> None:
-    """The choice of the points that the network sees; nothing where there is no torch to run one."""
-    if find_spec("torch") is None:
-        return
-    from p2wss.nets.batch import thin
-
-    thin(3, 2)
 
 
 def warm_product() -> None:
@@ -106,9 +84,10 @@ def warm_product() -> None:
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
     exports.block([exports.mesh(result, config) for result in results], terrain, config)
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
+    if find_spec("torch") is not None:
+        from p2wss.nets.batch import thin
 
-
-TASKS = (warm_footprints_and_meshes, warm_network_input, warm_product)
+        thin(3, 2)
 
 
 def sample() -> tuple[Features, Cloud]:
