@@ -55,9 +55,7 @@ def warm_product() -> None:
     from p2wss.reconstruct.measures import party_wall_areas_m2
     from p2wss.reconstruct.network import with_supposed_roofs
     from p2wss.reconstruct.pipeline import run
-    from p2wss.skeleton.compiled import expect_compilation
 
-    expect_compilation()
     features, cloud = sample()
     config = Reconstruct(detail="high")
     results = run(features, cloud, None, "sample", config)
