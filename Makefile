@@ -58,7 +58,7 @@ test-faults: install
 
 # what the code needs of IGN's services, of which one may change any day
 test-live: install
-	pytest -m live tests/unit/fetch
+	pytest -m live tests/unit/fetching
 
 # the wheel in an empty environment, up to a page of buildings: needs a package index
 test-wheel: install

@@ -31,10 +31,10 @@ from figures import Figures
 
 from p2wss.config import Config
 from p2wss.data.building import Building
-from p2wss.reconstruct.city import city_json
-from p2wss.reconstruct.product import reconstruct_buildings
-from p2wss.reconstruct.result import Result
-from p2wss.reconstruct.roof_lines import LINES, with_lines
+from p2wss.reconstruction.outputs.city import city_json
+from p2wss.reconstruction.product import reconstruct_buildings
+from p2wss.reconstruction.result import Result
+from p2wss.reconstruction.roof_lines import LINES, with_lines
 from p2wss.storage.features import Features
 
 EPSG = {"trondheim": 25832, "nyc_roofn3d": 32118}

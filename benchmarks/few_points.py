@@ -28,9 +28,9 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.fit import fitting
-from p2wss.reconstruct.flat import with_fallback
-from p2wss.reconstruct.network import reconstruct_with_network, with_supposed_roofs
-from p2wss.reconstruct.product import reconstruct_buildings
+from p2wss.reconstruction.flat import with_fallback
+from p2wss.reconstruction.network import reconstruct_with_network, with_supposed_roofs
+from p2wss.reconstruction.product import reconstruct_buildings
 
 _NUM_DRAWS = 3
 # points per square metre of the footprint; with 20, nearly all houses have all their points, 14 (median)

@@ -21,7 +21,7 @@ from pathlib import Path
 import laspy
 from figures import Figures
 
-from p2wss.reconstruct.warm_up import sample
+from p2wss.reconstruction.warm_up import sample
 
 BARS = {
     "compilation, CPU s": 60,
@@ -33,7 +33,7 @@ BARS = {
 COMPILE = """
 import collections, json, time
 from numba.core import event
-from p2wss.reconstruct import warm_up
+from p2wss.reconstruction import warm_up
 class Names(event.Listener):
     names = collections.Counter()
     def on_start(self, begun):

@@ -161,7 +161,7 @@ def count(figures: Figures) -> None:
     for path in sorted(PACKAGE.rglob("*.py")):
         tree, room = ast.parse(path.read_text(encoding="utf-8")), room_of(path)
         statements[room] += num_statements(tree)
-        if room in ("fit", "reconstruct"):
+        if room in ("fit", "reconstruction"):
             numbers += num_module_numbers(tree)
         where = str(path.relative_to(PACKAGE))
         functions += [(num_arguments(n), where, n.name) for n in ast.walk(tree) if isinstance(n, Function)]
@@ -180,7 +180,7 @@ def count(figures: Figures) -> None:
     figures.at_most("statements", statements.total(), 21_000)
     figures.at_most(f"functions with {FEW_ARGUMENTS} arguments or more", len(functions), 20)
     figures.at_most("longest list of arguments", functions[0][0] if functions else 0, 10)
-    figures.at_most("numbers at module level in fit and reconstruct", numbers, 200)
+    figures.at_most("numbers at module level in fit and reconstruction", numbers, 200)
     figures.at_most("rooms", len(rooms), 26)
     figures.at_most("arrows", sum(map(len, rooms.values())), 100)
     figures.at_most("rooms in circles", len(circular), 0)

@@ -35,11 +35,11 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.footprints.cleaning import clean_footprints
-from p2wss.reconstruct import unclassified
-from p2wss.reconstruct.area import footprint_settings
-from p2wss.reconstruct.outlines import outline_features
-from p2wss.reconstruct.pipeline import run
-from p2wss.reconstruct.result import Result
+from p2wss.reconstruction.area import footprint_settings
+from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.points import unclassified
+from p2wss.reconstruction.result import Result
+from p2wss.reconstruction.tracing.outlines import outline_features
 from p2wss.storage.features import Features
 
 MIN_AREA_M2 = 30.0

@@ -32,11 +32,11 @@ from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.footprints import cleaning
-from p2wss.reconstruct.area import footprint_settings, window
-from p2wss.reconstruct.flat import with_fallback
-from p2wss.reconstruct.network import reconstruct_with_network
-from p2wss.reconstruct.product import NETWORK
-from p2wss.reconstruct.result import Result
+from p2wss.reconstruction.area import footprint_settings, window
+from p2wss.reconstruction.flat import with_fallback
+from p2wss.reconstruction.network import reconstruct_with_network
+from p2wss.reconstruction.product import NETWORK
+from p2wss.reconstruction.result import Result
 
 _CROPS = ("77050_627755", "77050_627760", "77055_627755")
 # folder, clouds, EPSG code

@@ -13,8 +13,8 @@ from typing import Any
 
 import pyproj
 
-from p2wss.reconstruct.city import city_json as reconstruct_city_json
-from p2wss.reconstruct.result import Result
+from p2wss.reconstruction.outputs.city import city_json as reconstruct_city_json
+from p2wss.reconstruction.result import Result
 
 
 @dataclass(frozen=True)

@@ -36,9 +36,9 @@ from p2wss.config import Config
 from p2wss.data import polygon_arrays
 from p2wss.data.seeds import generator
 from p2wss.footprints import cleaning as footprints
-from p2wss.reconstruct.pipeline import run as run_reconstruct
-from p2wss.reconstruct.registration import NOTHING, register
-from p2wss.reconstruct.registration_blocks import find_blocks
+from p2wss.reconstruction.pipeline import run as run_reconstruct
+from p2wss.reconstruction.registration.blocks import find_blocks
+from p2wss.reconstruction.registration.register import NOTHING, register
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.features import Features
 

@@ -31,9 +31,9 @@ from p2wss.config import Config
 from p2wss.data.building import Reconstruction
 from p2wss.footprints import cleaning as footprints
 from p2wss.nets.weights_file import weights_to_use
-from p2wss.reconstruct.area import footprint_settings, window
-from p2wss.reconstruct.pipeline import run
-from p2wss.reconstruct.registration import register
+from p2wss.reconstruction.area import footprint_settings, window
+from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.registration.register import register
 from p2wss.skeleton import FaceKind
 
 # walls at most this far apart are one wall

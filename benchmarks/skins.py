@@ -10,8 +10,8 @@ from figures import Figures, cpu_seconds
 
 from p2wss.data.building import Reconstruction
 from p2wss.mesh import Mesh
-from p2wss.reconstruct.skin import Skin, skins
-from p2wss.reconstruct.skin.wedges import wedges
+from p2wss.reconstruction.skin import Skin, skins
+from p2wss.reconstruction.skin.wedges import wedges
 
 # a wedge is looked at from this far away, in this many directions
 RADIUS_M, DIRECTIONS = 2e-3, 72

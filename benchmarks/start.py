@@ -27,7 +27,7 @@ TO_FIRST_BUILDING = """
 import json, os, sys, time
 from p2wss.cli import importing, main
 with importing():  # as the command does
-    from p2wss.reconstruct import pipeline
+    from p2wss.reconstruction import pipeline
 def stop(*arguments):
     status = open("/proc/self/status").read().splitlines()
     peak_mib = next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM"))

@@ -37,9 +37,9 @@ from figures import Figures  # noqa: E402
 
 import p2wss  # noqa: E402
 from p2wss.config import as_config  # noqa: E402
-from p2wss.reconstruct.area import read_features  # noqa: E402
-from p2wss.reconstruct.inputs import check_inputs  # noqa: E402
-from p2wss.reconstruct.look import look  # noqa: E402
+from p2wss.reconstruction.area import read_features  # noqa: E402
+from p2wss.reconstruction.inputs import check_inputs  # noqa: E402
+from p2wss.reconstruction.look import look  # noqa: E402
 from p2wss.storage.errors import InputError  # noqa: E402
 from p2wss.storage.features import Features  # noqa: E402
 

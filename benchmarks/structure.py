@@ -31,8 +31,8 @@ from p2wss.cli import main as command
 from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.mesh import Mesh
-from p2wss.reconstruct.product import reconstruct_buildings
-from p2wss.reconstruct.scene import Scene
+from p2wss.reconstruction.product import reconstruct_buildings
+from p2wss.reconstruction.scene import Scene
 from p2wss.towns import FOOTPRINTS, LIDAR
 from p2wss.towns.wings import SHAPES
 

@@ -5,10 +5,11 @@
 Needs no data but the files of ``tests/mini``.
 
 Makes scenes, buildings and surveys by the stages of the workflow with the defaults, and looks for plants by
-:func:`p2wss.reconstruct.vegetation.plants`. The rules were chosen on the first tile, and looked at on the others.
-A tree is found if the middle of a crown of its own is within its radius; other crowns are false. Heights are those of
-the highest leaf and the highest point, above the terrain and the ground of the points. Trees below 4 m or in the margin
-have no figure, but may have a crown. ``--without-classes``: only points of ground and buildings keep their class.
+:func:`p2wss.reconstruction.outputs.vegetation.plants`. The rules were chosen on the first tile, and looked at on the
+others. A tree is found if the middle of a crown of its own is within its radius; other crowns are false. Heights are
+those of the highest leaf and the highest point, above the terrain and the ground of the points. Trees below 4 m or in
+the margin have no figure, but may have a crown. ``--without-classes``: only points of ground and buildings keep their
+class.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import grown, tile_bounds
-from p2wss.reconstruct.cloud_index import CloudIndex
-from p2wss.reconstruct.vegetation import Plant, plants
+from p2wss.reconstruction.outputs.vegetation import Plant, plants
+from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.scans.clutter import beside_walls
 from p2wss.scans.scene import build_surface, local_buildings
 from p2wss.scans.surface import las_classes

@@ -33,7 +33,7 @@ STEP_M, NUM_COLUMNS = (125.0, 150.0), 10
 WRITING = """
 import json, sys, time
 from p2wss.cli import main
-from p2wss.reconstruct import exports
+from p2wss.reconstruction.outputs import exports
 write = exports.write
 def timed(*arguments):
     start = time.process_time()

@@ -15,9 +15,9 @@ import p2wss
 from p2wss import cli
 from p2wss.cli.parser import ALL_OPTIONS
 from p2wss.config.generate import default_yaml
-from p2wss.fetch.area import Fetched
+from p2wss.fetching.area import Fetched
 from p2wss.formats.validity import Validity
-from p2wss.reconstruct.scene import Scene, SceneBuilding, Surface
+from p2wss.reconstruction.scene import Scene, SceneBuilding, Surface
 
 ROOT = Path(__file__).resolve().parents[1]
 _ROLE = re.compile(r":\w+:`~?([^`]+)`")

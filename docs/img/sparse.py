@@ -21,7 +21,7 @@ from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT
-from p2wss.reconstruct.product import reconstruct_buildings
+from p2wss.reconstruction.product import reconstruct_buildings
 from p2wss.towns import FOOTPRINTS, LIDAR
 
 NUM_POINTS, NUM_HOUSES = 20, 8

@@ -8,9 +8,6 @@
 The names here are the public interface; docs/manual/python.md shows them at work. Each imports what it needs when it is
 called, so ``import p2wss`` is fast. A wrong input raises :class:`InputError`, whose message is one line: what is wrong,
 where, and what to do.
-
-``reconstruct`` and ``fetch`` are functions here and the packages of the stages, too: import from these as in
-``from p2wss.reconstruct.scene import Scene``.
 """
 
 from __future__ import annotations
@@ -19,9 +16,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-# before the functions of the same names: the first import of a package would replace them
-import p2wss.fetch  # noqa: F401
-import p2wss.reconstruct  # noqa: F401
 from p2wss.storage.arguments import public
 from p2wss.storage.errors import InputError
 
@@ -35,10 +29,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from p2wss.config import Config
-    from p2wss.fetch.area import Fetched
+    from p2wss.fetching.area import Fetched
     from p2wss.formats.validity import Validity
-    from p2wss.reconstruct.inputs import CloudInput, FootprintInput, LineInput
-    from p2wss.reconstruct.scene import Scene
+    from p2wss.reconstruction.inputs import CloudInput, FootprintInput, LineInput
+    from p2wss.reconstruction.scene import Scene
 
 __version__ = "0.2.0"
 __all__ = [
@@ -102,11 +96,11 @@ def reconstruct(
     ('ok', True, 390)
     """
     from p2wss.config import as_config
-    from p2wss.reconstruct.inputs import check_inputs
+    from p2wss.reconstruction.inputs import check_inputs
 
     settings = as_config(config, detail)
     inputs = check_inputs(cloud, footprints, settings, crs, terrain, model, lines=lines)
-    from p2wss.reconstruct import scene  # only now, as it takes a second
+    from p2wss.reconstruction import scene  # only now, as it takes a second
 
     return scene.reconstruct(
         inputs, settings, scene.Selection(ids, bbox), scene.Machine(threads=threads), progress
@@ -120,7 +114,7 @@ def read(path: str | Path) -> Scene:
 
     Raises :class:`InputError` if the file is missing or broken.
     """
-    from p2wss.reconstruct import scene
+    from p2wss.reconstruction import scene
 
     return scene.read(path)
 
@@ -158,7 +152,7 @@ def outlines(
 ) -> gpd.GeoDataFrame:
     """Outlines of buildings from points alone, for places without footprints (docs/manual/outlines.md)."""
     from p2wss.config import as_config
-    from p2wss.reconstruct.inputs import check_inputs, read_outlines
+    from p2wss.reconstruction.inputs import check_inputs, read_outlines
 
     settings = as_config(config)
     return read_outlines(check_inputs(cloud, None, settings, crs), settings)[1].to_frame()
@@ -194,7 +188,7 @@ def fetch(
     Raises :class:`InputError` for a box that is not in ``crs``, and if a service does not answer.
     """
     from p2wss.config import IGN, Config, load
-    from p2wss.fetch.area import fetch_area
+    from p2wss.fetching.area import fetch_area
 
     settings = config if isinstance(config, Config) else load(IGN, config or {})
     return fetch_area(bbox, crs, Path(folder), settings)

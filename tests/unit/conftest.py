@@ -7,7 +7,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from p2wss.reconstruct.failures import Failures
+from p2wss.reconstruction.running.failures import Failures
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -32,8 +32,8 @@ from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain, write_terrain
 from p2wss.eval.reconstructions import RECONSTRUCTIONS
 from p2wss.eval.report import _scan_picture, read_training
-from p2wss.fetch import bdtopo
-from p2wss.fetch.cloud import write_cloud
+from p2wss.fetching import bdtopo
+from p2wss.fetching.cloud import write_cloud
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError

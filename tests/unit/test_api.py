@@ -67,9 +67,8 @@ def test_importing_it_imports_nothing_slow() -> None:
 
 
 def test_functions_stay_functions_when_their_packages_are_imported() -> None:
-    """``p2wss.reconstruct`` and ``p2wss.fetch`` are packages, too, and an import may replace an attribute."""
-    import p2wss.fetch.http
-    import p2wss.reconstruct.area
+    """No package has the name of a function, which its import would replace."""
+    import p2wss.fetching.http
 
     assert callable(p2wss.reconstruct) and callable(p2wss.fetch)
 

@@ -36,7 +36,7 @@ rule fetch_footprints:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare")),
-        code=fingerprint("fetch"),
+        code=fingerprint("fetching"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
         sizes=source_sizes("footprints"),
     shell:
@@ -61,7 +61,7 @@ rule fetch_dtm:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=source_section,
-        code=fingerprint("fetch"),
+        code=fingerprint("fetching"),
         downloads="resources/ign/{vintage}/downloads",
         sizes=source_sizes("dtm", source_of_tile),
     shell:
@@ -86,7 +86,7 @@ rule fetch_lidar:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=source_section,
-        code=fingerprint("fetch"),
+        code=fingerprint("fetching"),
         downloads="resources/ign/{vintage}/downloads",
         sizes=source_sizes("lidar", source_of_tile),
     shell:
@@ -111,7 +111,7 @@ rule prepare_lidar:
         runtime=lambda wildcards, attempt: 120 * attempt,
     params:
         config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme")),
-        code=fingerprint("fetch"),
+        code=fingerprint("fetching"),
     shell:
         "p2wss fetch prepare --tile {wildcards.tile:q} --clouds {input.clouds:q} --out {output.lidar:q} --config {params.config:q} 2> {log:q}"
 

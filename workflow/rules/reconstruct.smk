@@ -30,7 +30,7 @@ rule reconstruct_tile:
         runtime=lambda wildcards, attempt: 240 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
-        code=fingerprint("reconstruct", "formats.templates", "formats.assets"),
+        code=fingerprint("reconstruction", "formats.templates", "formats.assets"),
         folder=subpath(output.summary, parent=True),
     shell:
         "p2wss reconstruct {input.clouds:q} {input.footprints:q} {params.folder:q}"

@@ -20,7 +20,7 @@ from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
 
 if TYPE_CHECKING:
-    from p2wss.reconstruct.scene import Scene
+    from p2wss.reconstruction.scene import Scene
 
 log = logging.getLogger("p2wss")
 # buildings to check, and files of earlier runs, that the end of a run names

@@ -95,7 +95,7 @@ def crops_labels(crops: Path, split: str, out: Path) -> None:
     Without a fitted roof, as of too few points, there is no label, and the crop is left out.
     """
     from p2wss.eval.cases import from_crops
-    from p2wss.reconstruct.product import reconstruct_buildings
+    from p2wss.reconstruction.product import reconstruct_buildings
     from p2wss.storage.schemas.crops import CROPS, REAL
 
     table = files.read_table(crops, CROPS)

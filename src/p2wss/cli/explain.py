@@ -41,10 +41,10 @@ def explain(
         raise click.UsageError("CLOUD, FOOTPRINTS or ID is missing", click.get_current_context())
     if out is not None and out.suffix not in (".svg", ".png"):
         raise InputError(f"{out}: a picture is a .svg or a .png file")
-    from p2wss.reconstruct.inputs import check_inputs
+    from p2wss.reconstruction.inputs import check_inputs
 
     checked = check_inputs(list(inputs[:-1]), inputs[-1], config, crs, lines=lines)
-    from p2wss.reconstruct import explain  # only now, as it takes a second
+    from p2wss.reconstruction import explain  # only now, as it takes a second
 
     explanation = explain.explain(checked, config, building_id)
     click.echo(explanation)

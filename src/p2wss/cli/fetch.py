@@ -62,8 +62,8 @@ def fetch(
         return
     import yaml
 
-    from p2wss.fetch import plan
-    from p2wss.fetch.area import bounds_of_bbox
+    from p2wss.fetching import plan
+    from p2wss.fetching.area import bounds_of_bbox
 
     if region is None:
         raise InputError("fetch: give --region NAME, with --bbox for a new region; see p2wss fetch --help")
@@ -97,8 +97,8 @@ def fetch(
 def fetch_footprints(out: Path, downloads: Path | None, config: Config) -> None:
     """Get the footprints of the region."""
     from p2wss.data.tiling import grown
-    from p2wss.fetch.bdtopo import write_footprints
-    from p2wss.fetch.source import read_buildings
+    from p2wss.fetching.bdtopo import write_footprints
+    from p2wss.fetching.source import read_buildings
 
     source = _open_source(config, downloads)
     bounds = grown(config.region.bounds_m, config.fetch.margin_m)
@@ -116,7 +116,7 @@ def fetch_footprints(out: Path, downloads: Path | None, config: Config) -> None:
 def fetch_dtm(tile: str, out: Path, downloads: Path | None, config: Config) -> None:
     """Get the terrain of one tile and its margin."""
     from p2wss.data.terrain import write_terrain
-    from p2wss.fetch.source import known_height_share
+    from p2wss.fetching.source import known_height_share
 
     source = _open_source(config, downloads)
     terrain = source.dtm(bounds_of_tile(tile, config, config.fetch.margin_m))
@@ -135,8 +135,8 @@ def fetch_dtm(tile: str, out: Path, downloads: Path | None, config: Config) -> N
 @config_option
 def fetch_lidar(tile: str, out: Path, downloads: Path | None, config: Config) -> None:
     """Get the LiDAR of one tile and its margin as it is delivered."""
-    from p2wss.fetch.cloud import write_cloud
-    from p2wss.fetch.source import delivery_window
+    from p2wss.fetching.cloud import write_cloud
+    from p2wss.fetching.source import delivery_window
 
     source = _open_source(config, downloads)
     paths = source.lidar(bounds_of_tile(tile, config))
@@ -159,9 +159,9 @@ def fetch_lidar(tile: str, out: Path, downloads: Path | None, config: Config) ->
 def fetch_prepare(tile: str, clouds: tuple[Path, ...], out: Path, config: Config) -> None:
     """Crop the LiDAR of one tile and classify its ground points."""
     from p2wss.data.las_classes import class_set
-    from p2wss.fetch.pdal import Window
-    from p2wss.fetch.prepare import prepare
-    from p2wss.fetch.source import delivery_window
+    from p2wss.fetching.pdal import Window
+    from p2wss.fetching.prepare import prepare
+    from p2wss.fetching.source import delivery_window
 
     holes = [bounds_of_tile(path.stem, config) for path in clouds[1:]]
     bounds = bounds_of_tile(tile, config, config.fetch.margin_m)
@@ -173,7 +173,7 @@ def fetch_prepare(tile: str, clouds: tuple[Path, ...], out: Path, config: Config
 
 
 def _open_source(config: Config, downloads: Path | None) -> Any:
-    from p2wss.fetch.source import open_source
+    from p2wss.fetching.source import open_source
 
     return open_source(config.region, config.fetch, downloads or _downloads_folder(config))
 
@@ -187,5 +187,5 @@ def _provenance(config: Config) -> dict[str, Any]:
         vintage=config.region.vintage,
         crs=config.region.crs,
         config=section_json(config, "region", "fetch", without=TILE_LISTS),
-        code=fingerprint("fetch"),
+        code=fingerprint("fetching"),
     )

@@ -49,8 +49,8 @@ def inspect(files: tuple[Path, ...], verify: bool, as_json: bool, crs: str | Non
         return 0 if all(facts["checksum"] == inspection.INTACT for facts in checks) else 2
     together = inspection.inputs_of_run(files)
     if together is not None:
-        from p2wss.reconstruct.inputs import check_inputs
-        from p2wss.reconstruct.look import look
+        from p2wss.reconstruction.inputs import check_inputs
+        from p2wss.reconstruction.look import look
 
         clouds, footprints, terrain = together
         facts, problem = look(check_inputs(clouds, footprints, config, crs, terrain, "none"), config)

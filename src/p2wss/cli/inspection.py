@@ -196,7 +196,7 @@ def _raster(path: Path) -> Facts:
 
 
 def _cloud(path: Path) -> Facts:
-    from p2wss.fetch.cloud import count_classes, read_header
+    from p2wss.fetching.cloud import count_classes, read_header
 
     header, classes = read_header(path), count_classes(path)
     if classes.total() != header.point_count:

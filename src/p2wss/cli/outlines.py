@@ -23,7 +23,7 @@ def outlines(clouds: tuple[Path, ...], out: Path, crs: str | None, config: Confi
     """Derive building outlines from LiDAR, without footprints."""
     if out.suffix.lower() != ".gpkg":
         raise InputError(f"{out}: outlines are written as GeoPackage; name a file that ends in .gpkg")
-    from p2wss.reconstruct.inputs import check_inputs, read_outlines
+    from p2wss.reconstruction.inputs import check_inputs, read_outlines
 
     _, features = read_outlines(check_inputs(clouds, None, config, crs, model="none"), config)
     with files.atomic(out) as path, files.gdal_options():

@@ -136,16 +136,16 @@ def reconstruct(
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
     # of laspy, for clouds at URLs, and of pyogrio, for what it gives as tables
     with importing("requests", "pandas", "geopandas", "pyarrow"):
-        from p2wss.reconstruct.inputs import check_inputs
+        from p2wss.reconstruction.inputs import check_inputs
 
     start = time.monotonic()
     is_tile = chosen["tile"] is not None
     checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty=is_tile, lines=lines)
     with importing():
-        from p2wss.reconstruct import scene  # only now, as it takes a second
+        from p2wss.reconstruction import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
     if chosen["bbox"] is not None:
-        from p2wss.fetch.area import bounds_of_bbox  # which loads pandas
+        from p2wss.fetching.area import bounds_of_bbox  # which loads pandas
 
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
     with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:

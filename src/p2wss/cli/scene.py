@@ -81,8 +81,8 @@ def scene(
         raise click.UsageError("name a place: --bbox or --around", click.get_current_context())
     import p2wss
     from p2wss.data.tiling import grown
-    from p2wss.fetch import plan
-    from p2wss.fetch.area import bounds_around, bounds_of_bbox, fetch_area
+    from p2wss.fetching import plan
+    from p2wss.fetching.area import bounds_around, bounds_of_bbox, fetch_area
 
     crs = config.region.crs
     try:

@@ -52,8 +52,8 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
 def _page(cities: list[Path], clouds: list[Path], crs: str | None, height_unit: str) -> str:
     import p2wss
     from p2wss.data.crs import check_crs
-    from p2wss.reconstruct.inputs import read_cloud_of
-    from p2wss.reconstruct.page import page_of_scenes
+    from p2wss.reconstruction.inputs import read_cloud_of
+    from p2wss.reconstruction.outputs.page import page_of_scenes
 
     names = {
         path.name if len({each.name for each in cities}) == len(cities) else str(path): path

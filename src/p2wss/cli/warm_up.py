@@ -15,7 +15,7 @@ from p2wss.storage.provenance import fingerprint
 @option("--all", "with_scans", is_flag=True, help="also compile the code that p2wss scans needs")
 def warm_up(with_scans: bool) -> None:
     """Compile the code that p2wss reconstruct needs, once for this computer."""
-    from p2wss.reconstruct import warm_up as of_reconstruct
+    from p2wss.reconstruction import warm_up as of_reconstruct
 
     marker = of_reconstruct.marker(with_scans)
     if marker is not None and marker.exists():
@@ -27,7 +27,7 @@ def warm_up(with_scans: bool) -> None:
         from p2wss.scans.warm_up import warm_survey
 
         warm_survey()
-    fingerprint("reconstruct")  # kept beside the compiled code, too
+    fingerprint("reconstruction")  # kept beside the compiled code, too
     log.info("compiled in %.0f s", time.monotonic() - start)
     if marker is not None:
         marker.touch()

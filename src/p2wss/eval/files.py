@@ -29,8 +29,8 @@ from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas
-from p2wss.reconstruct.inputs import CloudInput, FootprintInput, as_footprints, read_cloud_of
-from p2wss.reconstruct.scene import Scene, bounds_of
+from p2wss.reconstruction.inputs import CloudInput, FootprintInput, as_footprints, read_cloud_of
+from p2wss.reconstruction.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features

@@ -12,9 +12,9 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Medians
-from p2wss.reconstruct.flat import constant, lod1
-from p2wss.reconstruct.network import Predictor, reconstruct_with_network
-from p2wss.reconstruct.product import FIT, NETWORK, reconstruct_buildings
+from p2wss.reconstruction.flat import constant, lod1
+from p2wss.reconstruction.network import Predictor, reconstruct_with_network
+from p2wss.reconstruction.product import FIT, NETWORK, reconstruct_buildings
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 

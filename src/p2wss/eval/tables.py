@@ -15,7 +15,7 @@ from p2wss.config import Eval
 from p2wss.data import reasons
 from p2wss.data.seeds import generator
 from p2wss.eval.methods import MASKED
-from p2wss.reconstruct.product import FIT, NETWORK
+from p2wss.reconstruction.product import FIT, NETWORK
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 
 # in the order of the columns

@@ -24,7 +24,7 @@ from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.footprints import cleaning as footprints
 from p2wss.formats.outputs import MESH_WRITERS
-from p2wss.reconstruct.inputs import output_stem
+from p2wss.reconstruction.inputs import output_stem
 
 
 def write_files(place: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 import shapely
 
 from p2wss import cli
-from p2wss.fetch.bdtopo import normalise, write_footprints
+from p2wss.fetching.bdtopo import normalise, write_footprints
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS
 

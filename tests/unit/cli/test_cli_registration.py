@@ -15,7 +15,7 @@ import shapely
 from shapely import affinity
 
 from p2wss import cli
-from p2wss.reconstruct import area
+from p2wss.reconstruction import area
 
 # two houses that share a wall, on the line between two tiles, and a house by itself
 TRUE = [

@@ -17,7 +17,7 @@ import pytest
 import p2wss
 from p2wss import cli
 from p2wss.cli import doctor
-from p2wss.reconstruct import area
+from p2wss.reconstruction import area
 from p2wss.storage.arguments import EXTRAS
 from p2wss.towns import write_demo
 

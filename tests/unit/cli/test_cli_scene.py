@@ -14,7 +14,7 @@ from fetch.service import serve_miniature
 from pytest_httpserver import HTTPServer
 
 from p2wss.cli import main
-from p2wss.fetch.area import bounds_around, bounds_of_bbox
+from p2wss.fetching.area import bounds_around, bounds_of_bbox
 from p2wss.storage.errors import InputError
 
 # 40 m around a middle in metres; its corner is in degrees, too

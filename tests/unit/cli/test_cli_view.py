@@ -10,7 +10,7 @@ import pytest
 
 import p2wss
 from p2wss import cli
-from p2wss.reconstruct import page
+from p2wss.reconstruction.outputs import page
 
 
 @pytest.fixture(scope="module")

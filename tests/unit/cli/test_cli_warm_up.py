@@ -8,7 +8,7 @@ import pytest
 from numba import config
 
 from p2wss import cli
-from p2wss.reconstruct import warm_up as of_reconstruct
+from p2wss.reconstruction import warm_up as of_reconstruct
 
 
 def test_nothing_to_do_the_second_time(

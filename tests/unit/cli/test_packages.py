@@ -45,7 +45,8 @@ REST = ["--checkpoints", "c", "--out-metrics", "m"]
 def test_reconstruction_imports_nothing_of_the_extras() -> None:
     # None: an import of it fails
     blocked = f"import sys; sys.modules.update(dict.fromkeys({[*EXTRAS]}))"
-    imports = "from p2wss.reconstruct import scene, exports; import p2wss.formats.outputs, p2wss.eval.files"
+    modules = "reconstruction.scene", "reconstruction.outputs.exports", "formats.outputs", "eval.files"
+    imports = "\n".join(f"import p2wss.{module}" for module in modules)
     subprocess.run([sys.executable, "-c", f"{blocked}\n{imports}"], check=True)
 
 

@@ -25,7 +25,7 @@ from p2wss.eval.viewer import MAX_POINTS, choices, viewer
 from p2wss.formats import html
 from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, Viewer, scene_page
 from p2wss.mesh import Mesh
-from p2wss.reconstruct.flat import constant, lod1
+from p2wss.reconstruction.flat import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

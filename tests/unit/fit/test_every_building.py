@@ -12,10 +12,10 @@ from toy_clouds import LAMBERT, cleaned
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.reconstruct import pipeline
-from p2wss.reconstruct.attributes import attributes as reconstruct_attributes
-from p2wss.reconstruct.pipeline import run
-from p2wss.reconstruct.result import Result, summary
+from p2wss.reconstruction import pipeline
+from p2wss.reconstruction.outputs.attributes import attributes as reconstruct_attributes
+from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.result import Result, summary
 
 GROUND_M, ROOF_M = 100.0, 107.0
 

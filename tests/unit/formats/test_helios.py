@@ -13,7 +13,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.formats import helios
 from p2wss.formats.meshes import VEGETATION, Body, frame_around
 from p2wss.mesh import Mesh
-from p2wss.reconstruct import terrain_mesh
+from p2wss.reconstruction.skin import terrain_mesh
 from p2wss.skeleton.types import Polygons
 
 X, Y = 84805.0, 447472.0

@@ -19,7 +19,7 @@ from p2wss.formats.meshes import Body, BuildingRef, Frame, frame_around
 from p2wss.formats.radio_materials import TABLE, properties
 from p2wss.formats.sionna import scene_files
 from p2wss.mesh import Mesh
-from p2wss.reconstruct import terrain_mesh
+from p2wss.reconstruction.skin import terrain_mesh
 from p2wss.skeleton.types import FaceKind, Polygons
 
 X, Y = 84805.0, 447472.0

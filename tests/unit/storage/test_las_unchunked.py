@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from p2wss.clouds.reading import read_clouds
-from p2wss.fetch.cloud import write_cloud
+from p2wss.fetching.cloud import write_cloud
 from p2wss.storage.errors import InputError
 
 

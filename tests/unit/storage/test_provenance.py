@@ -255,7 +255,7 @@ def test_a_version_of_a_module_is_parsed_once(
         return parse(text, *arguments)
 
     monkeypatch.setattr(ast, "parse", counted)
-    stages = "training.model", "training.dvae", "eval", "reconstruct"
+    stages = "training.model", "training.dvae", "eval", "reconstruction"
     forget()
     before = [fingerprint(stage) for stage in stages]
     kept = root / provenance._KEPT
@@ -268,12 +268,12 @@ def test_a_version_of_a_module_is_parsed_once(
     assert texts == []
     edit(root / "data" / "polygon_arrays.py", "np.nan_to_num(np.round(", "np.nan_to_num(np.floor(")
     forget()
-    changed = fingerprint("reconstruct")
+    changed = fingerprint("reconstruction")
     assert changed != before[-1] and len(texts) == 1
     kept.unlink()
     kept.mkdir()  # nothing can be kept
     forget()
-    assert fingerprint("reconstruct") == changed and len(texts) > 50
+    assert fingerprint("reconstruction") == changed and len(texts) > 50
     forget()
 
 
@@ -287,14 +287,14 @@ def test_the_version_of_python_does_not_count(
         pytest.skip(f"no Python {version}")
     stages = (
         "towns",
-        "fetch",
+        "fetching",
         "scenes",
         "scenes.buildings",
         "scans",
         "crops",
         "training.dvae",
         "training.model",
-        "reconstruct",
+        "reconstruction",
         "eval",
     )
     folder = copy[0].parent  # where nothing is kept yet

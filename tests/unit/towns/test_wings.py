@@ -15,7 +15,7 @@ from p2wss.cli import main
 from p2wss.cli.towns import ROOFS
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
-from p2wss.reconstruct.scene import Scene, SceneBuilding
+from p2wss.reconstruction.scene import Scene, SceneBuilding
 from p2wss.towns import FOOTPRINTS, draw_wings
 from p2wss.towns.ign import building_id
 from p2wss.towns.wings import SHAPES, draw_terraces, true_solids

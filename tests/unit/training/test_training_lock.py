@@ -79,7 +79,7 @@ def test_no_file_is_unpickled() -> None:
         # values that a process keeps for itself, in a file without a name that no other process can open
         assert not imports_pickle or path.name in ("spool.py", "processes.py"), path
     for name, place in (("spool", "*self._place[index]"), ("processes", "place, size")):
-        text = (ROOT / f"src/p2wss/reconstruct/{name}.py").read_text()
+        text = (ROOT / f"src/p2wss/reconstruction/{name}.py").read_text()
         assert re.findall(r"pickle\.load\w*\(.*", text) == [
             f"pickle.loads(self._scratch.read({place}))  # nosec B301"
         ]

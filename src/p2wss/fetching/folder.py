@@ -1,0 +1,218 @@
+"""Source ``folder``: files on disk, such as BD TOPO, RGE ALTI and LiDAR HD as IGN delivers them."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pyogrio
+import pyproj
+import rasterio
+import rasterio.merge
+import shapely
+from rasterio.enums import Resampling
+from rasterio.io import DatasetReader
+
+from p2wss.config import Folder
+from p2wss.data.crs import check_crs, horizontal, reprojected, same_crs
+from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
+from p2wss.fetching.cloud import read_header
+from p2wss.storage.errors import InputError, reading
+from p2wss.storage.las_files import bounds_of
+from p2wss.storage.log_lines import log
+
+
+class FolderSource:
+    """Files on disk, see :class:`p2wss.fetching.source.Source`."""
+
+    def __init__(self, config: Folder, crs: str) -> None:
+        self.config = config
+        self.crs = crs
+        self.name = config.footprints
+
+    def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
+        """See :class:`p2wss.fetching.source.Source`. Raises :class:`InputError` if a file is missing or not usable."""
+        files = list_files(self.config.footprints, VECTOR, "fetch.folder.footprints")
+        frames = [
+            read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files
+        ]
+        if len(files) > 1:
+            # numbers of features, ids where a source has none, repeat from file to file, as may the names of files
+            stems = [path.stem for path in files]
+            names = [
+                stem if stems.count(stem) == 1 else f"{number + 1}-{stem}"
+                for number, stem in enumerate(stems)
+            ]
+            frames = [
+                frame.set_axis([f"{name}-{number}" for number in frame.index])
+                for name, frame in zip(names, frames, strict=True)
+            ]
+        return pd.concat(frames)
+
+    def dtm(self, bounds: Bounds) -> Terrain:
+        """See :class:`p2wss.fetching.source.Source`. Raises :class:`InputError` if a file is missing or not usable."""
+        files = list_files(self.config.dtm, RASTER, "fetch.folder.dtm")
+        return mosaic(files, bounds, self.crs, self.config.dtm)
+
+    def lidar(self, bounds: Bounds) -> list[Path]:
+        """See :class:`p2wss.fetching.source.Source`. Raises :class:`InputError` if no file overlaps ``bounds``."""
+        files = list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
+        window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
+        paths = [path for path in files if _overlaps(path, window)]
+        if not paths:
+            raise InputError(
+                f"{self.config.lidar}: none of its {len(files)} files has points in {bounds_text(bounds)}"
+            )
+        return paths
+
+
+def reproject_bounds(bounds: Bounds, crs: str, target_crs: Any) -> Bounds:
+    """The smallest window in ``target_crs`` that contains ``bounds`` in ``crs``; x comes first in both."""
+    target = pyproj.CRS.from_user_input(target_crs)
+    if same_crs(pyproj.CRS.from_user_input(crs), target):
+        return bounds
+    transformer = pyproj.Transformer.from_crs(crs, target, always_xy=True)
+    west, south, east, north = transformer.transform_bounds(*bounds, densify_pts=21)
+    return west, south, east, north
+
+
+def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
+    """The features of a vector file that intersect ``bounds``, read through the file's spatial index.
+
+    layer: name of the layer; a file with a single layer may use another name. Features in another CRS, such as IGN's
+    national GeoParquet in degrees, are reprojected to ``crs``, with a note
+    (:func:`p2wss.data.crs.reprojected`); those without a CRS are returned as they are.
+
+    Raises :class:`InputError` if the file is broken, has several layers and none is called ``layer``, or is in a CRS
+    that cannot be transformed.
+    """
+    with reading(path, "a readable vector file"):
+        if path.suffix == ".parquet":
+            frame = _read_geoparquet(path, bounds, crs)
+        else:
+            layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+            if layer not in layers and len(layers) != 1:
+                raise InputError(
+                    f"{path}: has no layer {layer}, but {', '.join(layers)}; "
+                    "set fetch.folder.footprints_layer"
+                )
+            name = layer if layer in layers else layers[0]
+            window = _window(path, bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
+            # IGN's shapefiles are in UTF-8 but lack the .cpg file that would state it
+            encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
+            try:
+                frame = pyogrio.read_dataframe(
+                    path, layer=name, bbox=window, encoding=encoding, fid_as_index=True
+                )
+            except UnicodeDecodeError:
+                frame = pyogrio.read_dataframe(path, layer=name, bbox=window, fid_as_index=True)
+    region_crs = horizontal(pyproj.CRS.from_user_input(crs))
+    if frame.crs is None:
+        return frame
+    if same_crs(frame.crs, region_crs):
+        return frame.set_crs(region_crs, allow_override=True)
+    shapes = reprojected(frame.geometry.to_numpy(), frame.crs, region_crs, path)
+    frame = frame.set_geometry(shapes).set_crs(region_crs, allow_override=True)
+    return frame[frame.intersects(shapely.box(*bounds))]
+
+
+def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
+    """The features whose bounding boxes intersect ``bounds``.
+
+    Of a file with the bounding boxes in a covering column, as IGN's files are, only the row groups that intersect
+    them are read.
+    """
+    empty = BytesIO()
+    pq.write_table(pq.read_schema(path).empty_table(), empty)
+    window = _window(path, bounds, crs, gpd.read_parquet(empty).crs)
+    try:
+        return gpd.read_parquet(path, bbox=window)
+    except ValueError as error:
+        if "bbox" not in str(error):
+            raise
+    frame = gpd.read_parquet(path)
+    return frame[frame.intersects(shapely.box(*window))]
+
+
+def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
+    """``bounds`` in the CRS of a file; as they are for a file without a CRS."""
+    if file_crs is None:
+        return bounds
+    try:
+        window = reproject_bounds(bounds, crs, file_crs)
+    except pyproj.exceptions.ProjError:
+        window = (np.inf, np.inf, np.inf, np.inf)
+    if not np.isfinite(window).all():
+        name = pyproj.CRS.from_user_input(file_crs).name
+        raise InputError(f"{path}: is in {name}, to which the bounds of the region cannot be transformed")
+    return window
+
+
+def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
+    """Heights from all rasters that intersect ``bounds``, on the grid of the first; NaN where none has data.
+
+    Rasters whose grids agree are copied, others are interpolated bilinearly. name: used in messages.
+
+    Raises :class:`InputError` if no file covers ``bounds``, or if one that does is unreadable or in another
+    CRS than ``crs``.
+    """
+    rasters: list[DatasetReader] = []
+    with ExitStack() as stack:
+        for path in files:
+            with reading(path, "a readable raster"):
+                raster = stack.enter_context(rasterio.open(path))
+            if rasterio.coords.disjoint_bounds(raster.bounds, bounds):
+                continue
+            rasters.append(raster)
+            # .asc files do not state a CRS
+            check_crs(pyproj.CRS.from_user_input(raster.crs) if raster.crs else None, crs, path)
+        if not rasters:
+            raise InputError(f"{name}: none of its {len(files)} files covers {bounds_text(bounds)}")
+        _warn_of_gaps([raster.bounds for raster in rasters], bounds, name)
+        return _merged(rasters, bounds)
+
+
+def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
+    grid = rasters[0].transform
+    cell = grid.a
+    # extended outwards to whole cells of the first raster's grid
+    left = grid.c + np.floor((bounds[0] - grid.c) / cell) * cell
+    right = grid.c + np.ceil((bounds[2] - grid.c) / cell) * cell
+    bottom = grid.f - np.ceil((grid.f - bounds[1]) / cell) * cell
+    top = grid.f - np.floor((grid.f - bounds[3]) / cell) * cell
+    with reading(f"{rasters[0].name} or a neighbouring file", "a readable raster, or truncated"):
+        heights, transform = rasterio.merge.merge(
+            rasters,
+            bounds=(left, bottom, right, top),
+            res=(cell, cell),
+            nodata=np.nan,
+            dtype="float32",
+            indexes=[1],
+            resampling=Resampling.bilinear,
+        )
+    return Terrain(heights[0], transform.c, transform.f, cell)
+
+
+def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> None:
+    """Warn of the square kilometres of ``bounds`` that no file covers, named as IGN names its tiles."""
+    missing_tiles = [
+        tile
+        for tile in tiles_of_bounds(bounds, 1000)
+        if all(rasterio.coords.disjoint_bounds(b, tile_bounds(tile, 1000, -10)) for b in raster_bounds)
+    ]
+    if missing_tiles:
+        log.warning(f"{name}: no file covers {', '.join(missing_tiles)}; the terrain is unknown there")
+
+
+def _overlaps(path: Path, bounds: Bounds) -> bool:
+    """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre."""
+    header = read_header(path)
+    return header.point_count > 0 and are_near(bounds_of(header), bounds, -0.5)

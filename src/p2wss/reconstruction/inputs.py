@@ -1,0 +1,327 @@
+"""Inputs of a reconstruction: what can be wrong with them is reported before anything slow is read, from names,
+signatures and headers of the files."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import laspy
+import numpy as np
+import pyproj
+import shapely
+
+from p2wss.clouds import reading
+from p2wss.clouds.reading import Cloud, CloudHeader
+from p2wss.config import Config
+from p2wss.data.crs import MetricCrs, check_crs, common_crs, metric_crs, same_crs
+from p2wss.data.las_classes import LAS, ClassSet, class_set
+from p2wss.data.listing import VECTOR
+from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
+from p2wss.data.tiling import Bounds
+from p2wss.footprints import vector_files
+from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
+from p2wss.reconstruction.roof_lines import read_lines
+from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
+from p2wss.storage.las_crs import with_heights
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+log = logging.getLogger("p2wss")
+CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.LasData | Cloud"
+FootprintInput: TypeAlias = (
+    "str | Path | gpd.GeoDataFrame | gpd.GeoSeries | shapely.Geometry | Sequence[shapely.Geometry]"
+)
+LineInput: TypeAlias = FootprintInput
+# what messages and outputs call data without a file
+_CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The checked inputs of a run.
+
+    name: of the outputs, after the first cloud. headers: of the clouds, files of folders included. points: the cloud if
+    it is in memory. footprints: None where they are derived from the points. metric: the CRS of the run, ``crs``, and
+    that of the clouds. terrain: in the CRS of the run, and its file. weights: of Point2WSS, None for none. completion:
+    whether another network may complete roofs of few points. lines: of roofs, (l, 2, 2), in the CRS of the run, and the
+    name of their file; None for none.
+    """
+
+    name: str
+
+    headers: Sequence[CloudHeader]
+    points: Cloud | None
+    footprints: Path | gpd.GeoDataFrame | None
+    metric: MetricCrs
+    terrain: tuple[Terrain, Path] | None
+    weights: Path | None
+    completion: bool
+    lines: tuple[np.ndarray, str] | None = None
+
+    @property
+    def crs(self) -> pyproj.CRS:
+        """The CRS of the run, in metres."""
+        return self.metric.crs
+
+    @property
+    def footprints_name(self) -> Path:
+        """The file of the footprints, for messages."""
+        return self.footprints if isinstance(self.footprints, Path) else _FOOTPRINTS
+
+    def chunks(self, window: Bounds, classes: ClassSet) -> Iterator[Cloud]:
+        """The points in a window of the run, in its CRS, about half a million at a time."""
+        if self.points is not None:
+            yield self.points.in_metres(self.metric)
+            return
+        window = self.metric.window_of_clouds(window)
+        near = [header.path for header in self.headers if header.overlaps(window)]
+        for chunk in reading.read_in_chunks(near, window, classes):
+            yield chunk.in_metres(self.metric)
+
+    def overlap(self, window: Bounds) -> bool:
+        """Whether a cloud may have points in a window of the run."""
+        window = self.metric.window_of_clouds(window)
+        return any(header.overlaps(window) for header in self.headers)
+
+
+def check_inputs(
+    cloud: CloudInput,
+    footprints: FootprintInput | None,
+    config: Config,
+    crs: str | None = None,
+    terrain: str | Path | None = None,
+    model: str | Path | None = None,
+    may_be_empty: bool = False,
+    lines: LineInput | None = None,
+) -> Inputs:
+    """The inputs of a run, cheap checks first.
+
+    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of Point2WSS, "point2wss" for
+    those of the package, "none" for no network at all, that of few points included. may_be_empty:
+    whether clouds and footprints may be without content, as in a tile. lines: of roofs, as a map knows them.
+
+    Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
+    """
+    weights = weights_to_use(None if model is None else Path(model))
+    if weights is not None:
+        read_metadata(weights, "model")
+    footprints = None if footprints is None else as_footprints(footprints)
+    lines = None if lines is None else as_footprints(lines, "lines")
+    for path in (
+        [cloud] if isinstance(cloud, str | Path) else cloud if isinstance(cloud, list | tuple) else []
+    ):
+        if str(path).lower().endswith(VECTOR):
+            raise InputError(f"{path}: is a vector file, no point cloud; the order is: clouds, footprints")
+    for path in (footprints, terrain, lines):
+        if isinstance(path, str | Path) and not Path(path).exists():
+            raise InputError(f"{path}: no such file")
+    headers, points = open_clouds(cloud)
+    header = reading.common_header(headers) or headers[0]
+    footprints_crs = None
+    if footprints is None:
+        if header.crs is None and crs is None:
+            raise InputError(f"{header.path} does not state its CRS; state it with --crs, such as EPSG:28992")
+        names = (str(header.path), "")
+    else:
+        settings = config.reconstruct
+        columns = [settings.id_field, settings.height_field]
+        columns += [name for name in settings.keep_columns if name != "all"]
+        footprints_crs = _check_footprints(footprints, columns, may_be_empty, settings.footprint_layer)
+        names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
+    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+        log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
+    source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
+    metric, note_of_units = _metric(source, headers, points, config.reconstruct.height_unit)
+    for text in filter(None, (note, note_of_units)):
+        log.info("note: %s", text)
+    if not may_be_empty and not any(each.num_points for each in headers):
+        raise InputError(f"{headers[0].path}: has no points")
+    raster = None
+    if terrain is not None:
+        unit = config.reconstruct.terrain_unit
+        heights, heights_crs = read_terrain(terrain, metric.source.to_wkt(), unit, metric.unstated_m)
+        raster = (metric.terrain(heights, heights_crs, terrain), Path(terrain))
+        windows = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
+        if windows and not any(raster[0].cut(window).height_m.size for window in windows):
+            raise InputError(
+                f"{terrain}: is in {heights_crs.name}, and has no cell at {names[0]}: is that its CRS?"
+            )
+    name = lines.name if isinstance(lines, Path) else "lines"
+    of_roofs = None if lines is None else (read_lines(lines, metric), name)
+    completion = str(model) != NO_NETWORK
+    return Inputs(_name(cloud), headers, points, footprints, metric, raster, weights, completion, of_roofs)
+
+
+def _metric(
+    source: pyproj.CRS, headers: Sequence[CloudHeader], points: Cloud | None, unit: str
+) -> tuple[MetricCrs, str | None]:
+    """The CRS of a run on these clouds in ``source``, which may state their heights apart, and a note if it differs."""
+    heights = next((each.heights for each in headers if each.heights is not None), None)
+    if heights is not None:
+        source = with_heights(source, heights)
+    bounds = headers[0].bounds if points is not None else reading.extent(headers)
+    return metric_crs(source, bounds, str(headers[0].path), UNITS_M.get(unit))
+
+
+def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: ClassSet = LAS) -> Cloud:
+    """All points, in the CRS of the clouds. The arguments are those that :func:`open_clouds` returns."""
+    return points or reading.read_clouds([header.path for header in headers], None, classes)
+
+
+def read_cloud_of(
+    scene: pyproj.CRS | None,
+    bounds: Bounds | None,
+    name: str,
+    clouds: CloudInput,
+    crs: str | None = None,
+    height_unit: str = "",
+) -> tuple[Cloud, MetricCrs | None]:
+    """(all points in metres in the CRS of buildings from a file, what converts these buildings into it).
+
+    scene: the CRS of the buildings; None takes them to be in the CRS and the units that a run on the clouds has.
+    bounds: of the buildings. name: of their file. crs, height_unit: of the clouds, as the user states them. The
+    conversion is None where buildings remain as they are. Raises :class:`InputError` for clouds of another CRS.
+    """
+    headers, points = open_clouds(clouds)
+    header = reading.common_header(headers) or headers[0]
+    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+        log.warning("warning: %s: %s", header.path, doubt)
+    cloud = read_cloud(headers, points)
+    if header.crs is None and crs is None and scene is None:
+        return cloud, None
+    source, note = common_crs(header.crs, scene, crs, (str(header.path), name), header.bounds)
+    metric, note_of_units = _metric(source, headers, points, height_unit)
+    for text in filter(None, (note, note_of_units)):
+        log.info("note: %s", text)
+    if scene is None:
+        return cloud.in_metres(metric), None
+    of_scene, _ = metric_crs(scene, bounds, name)
+    if metric.horizontal_m is None and not same_crs(metric.crs, of_scene.crs):
+        metric = replace(metric, crs=of_scene.crs)  # another zone than the clouds alone would be in
+    check_crs(metric.crs, of_scene.crs, header.path, f"{name} is", "reproject one of them")
+    return cloud.in_metres(metric), None if of_scene.is_source else of_scene
+
+
+def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
+    """The whole cloud, and the outlines of its buildings as footprints."""
+    # compiled code, which is slow to load
+    from p2wss.reconstruction.points import unclassified
+    from p2wss.reconstruction.tracing.outlines import outline_features
+
+    cloud = read_cloud(inputs.headers, inputs.points, class_set(**config.region.classes.model_dump()))
+    cloud, warnings = unclassified.with_classes(cloud.in_metres(inputs.metric))
+    for warning in warnings:
+        log.warning("warning: %s", warning)
+    return cloud, outline_features(cloud, config.reconstruct.outlines, inputs.crs)
+
+
+def output_stem(cloud: Path) -> str:
+    """Name of the outputs: that of the folder, or of the cloud without its endings.
+
+    >>> output_stem(Path("in/Semis_2021.copc.laz"))
+    'Semis_2021'
+    """
+    return cloud.resolve().name if cloud.is_dir() else cloud.stem.removesuffix(".copc")
+
+
+def _name(cloud: CloudInput) -> str:
+    first = cloud[0] if isinstance(cloud, list | tuple) else cloud
+    return output_stem(Path(first)) if isinstance(first, str | Path) else _CLOUD.name
+
+
+def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path | gpd.GeoDataFrame:
+    """A file or a table of footprints, or of lines, as ``name`` says, of what a user gives; geometries alone are
+    numbered.
+
+    Raises :class:`InputError` for what is neither.
+    """
+    if isinstance(footprints, str | Path):
+        return Path(footprints)
+    import geopandas as gpd
+
+    try:
+        if not isinstance(footprints, gpd.GeoDataFrame):
+            alone = [footprints] if isinstance(footprints, shapely.Geometry) else footprints
+            footprints = gpd.GeoSeries(alone).to_frame("geometry")
+        footprints.geometry  # noqa: B018
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"the {name} are a {type(footprints).__name__}; give a vector file, a GeoDataFrame or"
+            + (" polygons, after the cloud" if name == "footprints" else " LineStrings")
+        ) from error
+    return footprints
+
+
+def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]:
+    """The headers of files, or that of points in memory and these."""
+    files = [cloud] if isinstance(cloud, str | Path) else cloud
+    if isinstance(files, list | tuple) and files and all(isinstance(each, str | Path) for each in files):
+        return reading.read_headers(reading.list_clouds([Path(path) for path in files])), None
+    points = _in_memory(cloud)
+    bounds = None
+    if len(points):
+        x_m, y_m = points.x_m, points.y_m
+        bounds = (float(x_m.min()), float(y_m.min()), float(x_m.max()), float(y_m.max()))
+    return [CloudHeader(_CLOUD, len(points), points.crs, bounds)], points
+
+
+def _in_memory(cloud: CloudInput) -> Cloud:
+    if isinstance(cloud, Cloud):
+        return cloud
+    if isinstance(cloud, laspy.LasData):
+        return reading.cloud_of(cloud)
+    try:
+        points = np.asarray(cloud, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"the cloud is a {type(cloud).__name__}; give LAS files or points, before the footprints"
+        ) from error
+    if points.ndim != 2 or points.shape[1] not in (3, 4):
+        raise InputError(
+            f"the cloud has shape {points.shape}; give points as (n, 3), or (n, 4) with LAS classes"
+        )
+    # 1: unclassified
+    classes = points[:, 3] if points.shape[1] == 4 else np.ones(len(points))
+    if not np.isfinite(points).all() or not ((classes >= 0) & (classes < 256)).all():
+        raise InputError("the cloud has coordinates that are not finite, or classes that are not 0 to 255")
+    x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
+    return Cloud(x_m, y_m, z_m, classes.astype(np.uint8), None)
+
+
+def _check_footprints(
+    footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool, layer: str
+) -> pyproj.CRS | None:
+    """The CRS of the footprints, if it is stated. Raises :class:`InputError` if these cannot be footprints."""
+    if isinstance(footprints, Path):
+        name, info = footprints, vector_files.layer_info(footprints, layer)
+    else:
+        name = _FOOTPRINTS
+        info = {
+            "features": len(footprints),
+            "geometry_type": " ".join(footprints.geom_type.dropna().unique()) or "Unknown",
+            "fields": [each for each in footprints.columns if each != footprints.geometry.name],
+            "crs": footprints.crs,
+        }
+    if not info["features"] and not may_be_empty:
+        raise InputError(f"{name}: has no features")
+    geometry = info["geometry_type"]
+    if geometry is None:
+        raise InputError(f"{name}: {vector_files.no_geometry(name)}")
+    if info["features"] and not any(
+        kind in geometry for kind in ("Polygon", "Surface", "Collection", "Unknown")
+    ):
+        others = (
+            f"; its other layers are {', '.join(info['other_layers'])}" if info.get("other_layers") else ""
+        )
+        raise InputError(f"{name}: has no polygons; footprints must be polygons{others}")
+    fields = list(map(str, info["fields"]))
+    for column in filter(None, columns):
+        if column not in fields:
+            raise InputError(f"{name}: has no column {column}; its columns are {', '.join(fields) or 'none'}")
+    return None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])

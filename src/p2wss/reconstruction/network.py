@@ -1,0 +1,94 @@
+"""What networks say of buildings: heights and angles, and roofs between few points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+import shapely
+
+from p2wss.config import Reconstruct
+from p2wss.data import reasons
+from p2wss.data.building import Building, Reconstruction
+from p2wss.fit.mesh.parametric import build_meshes, kernel_angles, simplify_exterior, transfer_angles
+from p2wss.fit.roof.fitter import MIN_NUM_POINTS
+from p2wss.fit.settings import THRESHOLDS
+from p2wss.nets.prediction import Prediction
+from p2wss.nets.supposed import supposed_roof
+
+
+class Predictor(Protocol):
+    """The part of :class:`p2wss.nets.predictor.Point2WssPredictor` that reconstruction needs."""
+
+    @property
+    def max_num_vertices(self) -> int:
+        """Largest number of vertices of an exterior ring."""
+
+    @property
+    def on_building(self) -> bool:
+        """Whether it was trained on clouds of the points on a building alone, too, and should get those."""
+
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
+        """The heights and angles of buildings with these points, each (n, 3) with z above the ground, and rings as in
+        :class:`Building`."""
+
+
+def reconstruct_with_network(
+    buildings: Sequence[Building], predictor: Predictor, config: Reconstruct
+) -> list[Reconstruction]:
+    """One reconstruction per building with the network's height and angles, in order.
+
+    A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has a status and no mesh;
+    :func:`p2wss.reconstruction.flat.with_fallback` replaces it by a flat roof.
+    """
+    mesh_rings = [building.rings for building in buildings]
+    network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
+    height = np.full(len(buildings), np.nan)
+    angle = [np.zeros(sum(map(len, rings))) for rings in mesh_rings]
+    status = [reasons.OK if len(b.point_m) else reasons.NO_POINTS for b in buildings]
+    with_points = []
+    for i, building in enumerate(buildings):
+        if len(building.point_m) >= config.min_num_points:
+            with_points.append(i)
+        elif status[i] == reasons.OK:
+            status[i] = reasons.TOO_FEW_POINTS
+    if with_points:
+        prediction = predictor.predict(
+            [
+                _on_building_m(buildings[i]) if predictor.on_building else buildings[i].point_m
+                for i in with_points
+            ],
+            [network_rings[i] for i in with_points],
+        )
+        for k, i in enumerate(with_points):
+            if np.isfinite(prediction.eave_height_m[k]):
+                height[i] = max(float(prediction.eave_height_m[k]), config.min_eave_height_m)
+                angle_deg = transfer_angles(network_rings[i], prediction.angle_deg[k], mesh_rings[i])
+                angle[i] = kernel_angles(angle_deg)
+            else:
+                status[i] = reasons.FOOTPRINT_TOO_LARGE
+    return build_meshes(buildings, mesh_rings, height, angle, "point2wss", config, status)
+
+
+def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
+    """The buildings; those with few points per square metre with the roof that the network of
+    :mod:`p2wss.nets.completion` supposes between them."""
+    result = []
+    for building in buildings:
+        roof_m = building.point_m[building.is_on_building]
+        roof_m = roof_m[shapely.contains_xy(building.polygon, *roof_m[:, :2].T)]
+        has_planes = len(roof_m) + len(building.around_m) >= THRESHOLDS.min_plane_points
+        if has_planes and MIN_NUM_POINTS <= len(roof_m) < THRESHOLDS.known_per_m2 * building.polygon.area:
+            supposed_m = supposed_roof(building.polygon, roof_m, building.around_m)
+            building = replace(building, supposed_m=supposed_m)
+        result.append(building)
+    return result
+
+
+def _on_building_m(building: Building) -> np.ndarray:
+    """The points (n, 3) on the building, unless they show no roof. Plants, neighbours and what stands on the ground are
+    not as in the simulation that a network learnt from."""
+    on_m = building.point_m[building.is_on_building]
+    return on_m if len(on_m) >= MIN_NUM_POINTS else building.point_m

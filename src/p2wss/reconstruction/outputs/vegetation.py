@@ -1,0 +1,180 @@
+"""Trees and clumps of plants as simple closed volumes.
+
+A crown is a basin of a watershed around a maximum of the smoothed height of the canopy (Q. Chen et al. 2006, "Isolating
+individual trees in a savanna woodland using small footprint lidar data").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, product
+
+import numpy as np
+import scipy
+import shapely
+
+from p2wss.clouds.reading import Cloud
+from p2wss.data.las_classes import PLANT_CLASSES
+from p2wss.data.tiling import Bounds, grown
+from p2wss.formats.meshes import VEGETATION
+from p2wss.mesh import Mesh
+from p2wss.reconstruction.points.cloud_index import CloudIndex
+from p2wss.reconstruction.points.unclassified import ground_z_m, is_open, planar
+from p2wss.reconstruction.running.failures import note, surviving
+from p2wss.skeleton.angles import bearings
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What is a plant; chosen on simulated trees (``benchmarks/vegetation.py``).
+
+    cell_m: of the raster of heights, which is smoothed by smoothing_m. spacing_m: of tops. min_height_m: above the
+    ground, of points. base_quantile: of the heights of the points of a crown, where it begins. beside_m: where points
+    have no classes of plants, those so near to a footprint are of the building. num_sides: of a volume.
+    tile_m: read together, and margin_m around it, which is more than the width of a crown.
+    """
+
+    cell_m: float = 0.5
+    smoothing_m: float = 0.5
+    spacing_m: float = 2.0
+    min_height_m: float = 2.0
+    min_num_points: int = 5
+    min_area_m2: float = 1.0
+    base_quantile: float = 0.05
+    beside_m: float = 1.0
+    num_sides: int = 8
+    tile_m: float = 256.0
+    margin_m: float = 16.0
+
+
+RULES = Rules()
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A crown. mesh: closed, in the CRS of the run. height_m, base_m: of its top and where it begins, above the ground.
+    width_m: diameter of the circle of its area."""
+
+    name: str
+    mesh: Mesh
+    height_m: float
+    base_m: float
+    width_m: float
+    num_points: int
+
+    @property
+    def city_type(self) -> str:
+        """The type of its city object: a clump or a hedge is wider than it is high."""
+        return "PlantCover" if self.width_m > self.height_m else "SolitaryVegetationObject"
+
+    @property
+    def attributes(self) -> dict[str, float]:
+        """For files, metres."""
+        names = ("height_m", "base_m", "width_m", "num_points")
+        return {name: round(getattr(self, name), 2) for name in names}
+
+
+def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[Plant]:
+    """The plants with tops in a window, which the index covers with a margin of 16 m: of points of the classes of
+    plants or, where the cloud has none, of what stands above the ground outside ``footprints`` and is no plane."""
+    low_x, low_y, high_x, high_y = (np.floor(window[k] / RULES.tile_m) * RULES.tile_m for k in range(4))
+
+    def of_tile(corner: tuple[float, float]) -> list[Plant]:
+        x, y = corner
+        tile = (
+            max(x, window[0]),
+            max(y, window[1]),
+            min(x + RULES.tile_m, window[2]),
+            min(y + RULES.tile_m, window[3]),
+        )
+        around = grown((x, y, x + RULES.tile_m, y + RULES.tile_m), RULES.margin_m)
+        cloud = points.near(np.array([around]))
+        # the producer's classes of plants, even where the others are ours
+        own = points.near(np.array([around]), adds_classes=False).classification
+        is_plant = np.isin(own, PLANT_CLASSES) if points.has_plants else None
+        return list(_plants(cloud, is_plant, around, tile, footprints)) if len(cloud) else []
+
+    def none(corner: tuple[float, float], trace: str) -> list[list[Plant]]:
+        note(f"vegetation around {corner[0]:.0f} {corner[1]:.0f}", trace, "there is none")
+        return [[]]
+
+    corners = product(np.arange(low_x, high_x + 1, RULES.tile_m), np.arange(low_y, high_y + 1, RULES.tile_m))
+    return list(chain(*surviving(lambda some: map(of_tile, some), list(corners), none)))
+
+
+def _plants(
+    cloud: Cloud, is_plant: np.ndarray | None, around: Bounds, tile: Bounds, footprints: np.ndarray
+) -> Iterator[Plant]:
+    """The plants with tops in a tile. is_plant: bool (n,), by the classes of the producer; None without these."""
+    x_m, y_m = cloud.x_m, cloud.y_m
+    ground_m = ground_z_m(cloud)
+    height_m = cloud.z_m - ground_m
+    row, column = (
+        np.floor((values - low) / RULES.cell_m).astype(int)
+        for values, low in ((y_m, around[1]), (x_m, around[0]))
+    )
+    shape = tuple(round((around[k + 2] - around[k]) / RULES.cell_m) for k in (1, 0))
+    inside = (row >= 0) & (column >= 0) & (row < shape[0]) & (column < shape[1])
+    may_be_plant = is_open(cloud.classification) if is_plant is None else is_plant
+    chosen = np.flatnonzero(inside & may_be_plant & (height_m >= RULES.min_height_m))
+    if is_plant is None:
+        chosen = chosen[~planar(np.column_stack([x_m, y_m, cloud.z_m])[chosen])]
+        tree = shapely.STRtree(shapely.points(x_m[chosen], y_m[chosen]))
+        near = tree.query(footprints, predicate="dwithin", distance=RULES.beside_m)[1]
+        chosen = np.delete(chosen, near)
+    label = _basins(row[chosen], column[chosen], height_m[chosen], shape)
+    chosen = chosen[label[row[chosen], column[chosen]] > 0]
+    of_point = label[row[chosen], column[chosen]]
+    area_m2 = np.bincount(np.maximum(label, 0).ravel()) * RULES.cell_m**2
+    order = np.argsort(of_point, kind="stable")
+    for own in np.split(chosen[order], np.flatnonzero(np.diff(of_point[order])) + 1):
+        if len(own) < RULES.min_num_points:
+            continue
+        top = own[height_m[own].argmax()]
+        size_m2 = area_m2[label[row[top], column[top]]]
+        is_here = tile[0] <= x_m[top] < tile[2] and tile[1] <= y_m[top] < tile[3]
+        if is_here and size_m2 >= RULES.min_area_m2:
+            base_m, high_m = np.quantile(height_m[own], RULES.base_quantile), height_m[top]
+            base_m = float(min(base_m, 0.8 * high_m))  # a volume, even of a flat crown
+            mesh = _volume(
+                np.column_stack([x_m[own], y_m[own]]), ground_m[top] + base_m, float(cloud.z_m[top])
+            )
+            name = f"plant_{x_m[top]:.0f}_{y_m[top]:.0f}"
+            yield Plant(name, mesh, float(high_m), base_m, float(np.sqrt(4 / np.pi * size_m2)), len(own))
+
+
+def _basins(row: np.ndarray, column: np.ndarray, height_m: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The number of the crown of each cell, from 1, int (rows, columns); -1 without one."""
+    canopy_m = np.zeros(shape)
+    np.maximum.at(canopy_m, (row, column), height_m)
+    canopy_m = scipy.ndimage.grey_closing(canopy_m, 3)
+    smooth_m = scipy.ndimage.gaussian_filter(canopy_m, RULES.smoothing_m / RULES.cell_m)
+    reach = round(RULES.spacing_m / RULES.cell_m)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    highest_m = scipy.ndimage.maximum_filter(smooth_m, footprint=np.hypot(x, y) <= reach)
+    is_canopy = canopy_m >= RULES.min_height_m
+    top, _ = scipy.ndimage.label((smooth_m == highest_m) & is_canopy, np.ones((3, 3)))
+    depth_cm = np.clip(65535 - 100 * smooth_m, 0, 65535).astype(np.uint16)
+    label = scipy.ndimage.watershed_ift(depth_cm, np.where(is_canopy, top, -1).astype(np.int32))
+    # what is no canopy floods the rim of the crowns, too
+    return np.where(is_canopy & (label < 1), scipy.ndimage.grey_dilation(label, 5), label)
+
+
+def _volume(xy_m: np.ndarray, low_z_m: float, high_z_m: float) -> Mesh:
+    """A closed volume around points (n, 2): an ellipsoid that is in each direction as wide as the points."""
+    from trimesh.creation import uv_sphere  # takes longer to import than the rest
+
+    def side(xy: np.ndarray) -> np.ndarray:
+        return np.round(bearings(xy) / (2 * np.pi) * RULES.num_sides).astype(int) % RULES.num_sides
+
+    middle = xy_m.mean(axis=0)
+    radius_m = np.zeros(RULES.num_sides)
+    np.maximum.at(radius_m, side(xy_m - middle), np.hypot(*(xy_m - middle).T))
+    radius_m = np.maximum(radius_m, max(radius_m.mean() / 2, RULES.cell_m / 2))
+    sphere = uv_sphere(count=[4, RULES.num_sides // 2])
+    ring_m = middle + sphere.vertices[:, :2] * radius_m[side(sphere.vertices[:, :2]), None]
+    vertex_m = np.column_stack([ring_m, low_z_m + (high_z_m - low_z_m) * (sphere.vertices[:, 2] + 1) / 2])
+    triangle = np.asarray(sphere.faces, np.int32)
+    kind = np.full(len(triangle), VEGETATION, np.uint8)
+    return Mesh(vertex_m, triangle, kind, np.arange(len(triangle), dtype=np.int32))

@@ -1,0 +1,212 @@
+"""A cloud in cells on disk: written chunk by chunk, read by places.
+
+Memory holds one chunk and the requested points, however large the cloud is. Points get classes where their
+producer has none, by :func:`p2wss.reconstruction.points.unclassified.with_classes`; what is read for a place is the
+same whatever else is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pyproj
+
+from p2wss.clouds.reading import Cloud
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES, has_class
+from p2wss.reconstruction.points.unclassified import with_classes
+from p2wss.storage.temporary import Closeable, Scratch
+
+CELL_M = 64.0
+# cells of a square whose points get classes together, and around it those that decide whether they need any
+_SQUARE, _AROUND = 2, 1
+_RECORD = np.dtype(
+    [
+        ("number", "<i8"),
+        ("x_m", "<f8"),
+        ("y_m", "<f8"),
+        ("z_m", "<f8"),
+        ("day", "<u2"),
+        ("classification", "u1"),
+    ]
+)
+_COLUMNS = ("x_m", "y_m", "z_m", "day", "classification")
+# points that are sorted together
+_CHUNK = 500_000
+# points of which there are numbers per cell: all, and those of a class
+_COUNTED = (None, GROUND_CLASS, BUILDING_CLASS)
+BYTES_PER_POINT = _RECORD.itemsize
+
+
+class CloudIndex(Closeable):
+    """The points of a cloud in the cells that boxes touch, and around these, in a :class:`Scratch` file."""
+
+    def __init__(self, boxes: np.ndarray, folder: Path, adds_classes: bool = True) -> None:
+        """boxes: (n, 4), x_min, y_min, x_max and y_max of the places of interest, metres. folder: of the file.
+        adds_classes: whether :meth:`near` gives points classes."""
+        self._adds_classes = adds_classes
+        self.crs: pyproj.CRS | None = None
+        self.num_points = 0
+        self.has_plants = False
+        square = np.unique(_square(_cells_of(boxes)))
+        self._key = np.unique(_cells_around(square))
+        self._square, self._of_square = np.unique(_square(self._key), return_inverse=True)
+        around = _cells_around(self._square)
+        self._around = _positions(self._key, around.ravel()).reshape(around.shape)
+        self._count = np.zeros((len(_COUNTED), len(self._key)), np.int64)
+        self._cell: list[np.ndarray] = []
+        self._runs: list[np.ndarray] = []
+        self._num_read = 0
+        self._scratch = Scratch(folder, f"points, {BYTES_PER_POINT} bytes each")
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._scratch.close()
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """What all cells cover, metres; an empty window without cells."""
+        if not len(self._key):
+            return 0.0, 0.0, 0.0, 0.0
+        row, column = _row_and_column(self._key)
+        low_x, low_y = float(column.min()) * CELL_M, float(row.min()) * CELL_M
+        return low_x, low_y, float(column.max() + 1) * CELL_M, float(row.max() + 1) * CELL_M
+
+    def append(self, cloud: Cloud) -> None:
+        """Add a chunk; points outside the cells are dropped."""
+        self.crs = self.crs or cloud.crs
+        self.has_plants |= bool(has_class(cloud.classification, PLANT_CLASSES).any())
+        for first in range(0, len(cloud), _CHUNK):
+            self._append(cloud, slice(first, min(first + _CHUNK, len(cloud))))
+
+    def _append(self, cloud: Cloud, chunk: slice) -> None:
+        number = self._num_read + np.arange(chunk.stop - chunk.start)
+        self._num_read += len(number)
+        x_m, y_m = cloud.x_m[chunk], cloud.y_m[chunk]
+        cell = _positions(self._key, _key(np.floor(y_m / CELL_M), np.floor(x_m / CELL_M)))
+        rows = np.flatnonzero(cell >= 0)
+        rows = rows[np.argsort(cell[rows], kind="stable")]
+        if not len(rows):
+            return
+        records = np.zeros(len(rows), _RECORD)
+        records["number"] = number[rows]
+        for name in _COLUMNS:
+            values = getattr(cloud, name)
+            if values is not None:
+                records[name] = values[chunk][rows]
+        cell, classes = cell[rows], cloud.classification[chunk][rows]
+        for k, number_of_class in enumerate(_COUNTED):
+            chosen = slice(None) if number_of_class is None else classes == number_of_class
+            self._count[k] += np.bincount(cell[chosen], minlength=len(self._key))
+        starts = np.flatnonzero(np.diff(cell, prepend=-1))
+        self._cell.append(cell[starts])
+        ends = np.append(starts[1:], len(cell))
+        self._runs.append(np.column_stack([starts, ends]) + self.num_points)
+        self.num_points += len(rows)
+        self._scratch.append(records.view(np.uint8).data)
+
+    def near(self, boxes: np.ndarray, adds_classes: bool = True) -> Cloud:
+        """The points in all cells that boxes (n, 4) touch, cell by cell in the order in which they were added, with
+        classes unless ``adds_classes`` is false.
+
+        Points of a square of two by two cells get classes if no point of class ground, or none of class building, is
+        in the four by four cells around its centre. boxes: within those of the index.
+        """
+        cells = _positions(self._key, _cells_of(boxes))
+        cells = cells[cells >= 0]
+        cloud, number = self._read(cells)
+        square = np.unique(self._of_square[cells])
+        has_all = self._has(square, GROUND_CLASS) & self._has(square, BUILDING_CLASS)
+        if has_all.all() or not (adds_classes and self._adds_classes):
+            return cloud
+        classes, order = cloud.classification.copy(), np.argsort(number)
+        ascending = number[order]
+        for k in square[~has_all].tolist():
+            around, number_around = self._read(self._around[k])
+            around, _ = with_classes(around)
+            key = _key(np.floor(around.y_m / CELL_M), np.floor(around.x_m / CELL_M))
+            inside = _square(key) == self._square[k]
+            place = _positions(ascending, number_around[inside])
+            classes[order[place[place >= 0]]] = around.classification[inside][place >= 0]
+        return replace(cloud, classification=classes)
+
+    def count(self, boxes: np.ndarray) -> int:
+        """The number of points in all cells that boxes touch."""
+        cells = _positions(self._key, _cells_of(boxes))
+        return int(self._count[0][cells[cells >= 0]].sum())
+
+    def has_points(self, x_m: np.ndarray, y_m: np.ndarray, classification: int | None = None) -> np.ndarray:
+        """Whether the files have points around each place, bool (n,): in the four by four cells of :meth:`near`.
+
+        classification: whether they have points of :data:`GROUND_CLASS` or of :data:`BUILDING_CLASS`.
+        """
+        result = np.zeros(len(x_m), bool)
+        known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+        key = _key(np.floor(y_m[known] / CELL_M), np.floor(x_m[known] / CELL_M))
+        square = _positions(self._square, _square(key))
+        result[known[square >= 0]] = self._has(square[square >= 0], classification)
+        return result
+
+    def _has(self, square: np.ndarray, classification: int | None) -> np.ndarray:
+        """Whether there are points around squares, bool (n,)."""
+        around = self._around[square]
+        return ((self._count[_COUNTED.index(classification)][around] > 0) & (around >= 0)).any(axis=1)
+
+    def _read(self, cells: np.ndarray) -> tuple[Cloud, np.ndarray]:
+        """The points of cells and their numbers, cell by cell in the order in which they were added."""
+        of_run = np.concatenate([np.zeros(0, np.int64), *self._cell])
+        row = np.flatnonzero(np.isin(of_run, cells))
+        row = row[np.argsort(of_run[row], kind="stable")]
+        runs = np.concatenate([np.zeros((0, 2), np.int64), *self._runs])[row]
+        records = np.empty(int(np.diff(runs).sum()), _RECORD)
+        place = np.cumsum(np.append(0, np.diff(runs))).tolist()
+        for (start, end), (low, high) in zip(runs.tolist(), pairwise(place), strict=True):
+            content = self._scratch.read(start * BYTES_PER_POINT, (end - start) * BYTES_PER_POINT)
+            records[low:high] = np.frombuffer(content, _RECORD)
+        columns = {name: np.ascontiguousarray(records[name]) for name in _COLUMNS}
+        return Cloud(**columns, crs=self.crs), records["number"]
+
+
+def _key(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """The number of cells or squares by their rows and columns, int64."""
+    return np.asarray(row).astype(np.int64) * 2**32 + np.asarray(column).astype(np.int64) + 2**31
+
+
+def _row_and_column(key: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return key // 2**32, key % 2**32 - 2**31
+
+
+def _square(cell: np.ndarray) -> np.ndarray:
+    """The square of each cell."""
+    row, column = _row_and_column(cell)
+    return _key(row // _SQUARE, column // _SQUARE)
+
+
+def _cells_around(square: np.ndarray) -> np.ndarray:
+    """The cells of each square and around it, (n, 16)."""
+    row, column = _row_and_column(square)
+    steps = np.arange(-_AROUND, _SQUARE + _AROUND)
+    rows = (row * _SQUARE)[:, None, None] + steps[:, None]
+    columns = (column * _SQUARE)[:, None, None] + steps
+    return _key(*np.broadcast_arrays(rows, columns)).reshape(len(square), len(steps) ** 2)
+
+
+def _cells_of(boxes: np.ndarray) -> np.ndarray:
+    """All cells that boxes touch, ascending; none for boxes that are not finite."""
+    boxes = np.floor(boxes[np.isfinite(boxes).all(axis=1)] / CELL_M).astype(np.int64)
+    boxes = np.unique(boxes, axis=0)
+    width, height = boxes[:, 2] - boxes[:, 0] + 1, boxes[:, 3] - boxes[:, 1] + 1
+    count = width * height
+    box = np.repeat(np.arange(len(boxes)), count)
+    number = np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count)
+    return np.unique(_key(boxes[box, 1] + number // width[box], boxes[box, 0] + number % width[box]))
+
+
+def _positions(ascending: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The position of each value, -1 of one that is missing."""
+    if not len(ascending):
+        return np.full(len(values), -1)
+    place = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)
+    return np.where(ascending[place] == values, place, -1)

@@ -1,0 +1,174 @@
+"""Whether clouds, footprints and terrain can be of one place in one unit: a sample of footprints, before the work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from p2wss.clouds.crops import crop_cloud
+from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.data.points import stride
+from p2wss.data.terrain import Terrain
+from p2wss.reconstruction.inputs import Inputs
+from p2wss.reconstruction.points.cloud_index import CloudIndex
+from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
+from p2wss.storage.las_crs import vertical_part
+from p2wss.storage.log_lines import log
+
+# footprints of a sample, and metres around each in which its points are read
+_NUM_SAMPLED, _AROUND_M = 32, 6.0
+# a terrain further from the ground of the points than this is of other units or of another height system
+_MAX_GAP_M = 10.0
+# factors by which heights of a terrain may be wrong, with the unit that they then have
+_FACTORS = {
+    0.3048: "ft",
+    0.01: "cm",
+    0.1: "dm",
+    0.001: "mm",
+    1 / 0.3048: "m",
+    10.0: "",
+    100.0: "",
+}
+# what is left of a gap that a factor explains, at most: a share of the heights, or metres
+_LEFT_SHARE, _LEFT_M = 0.02, 2.0
+# heights of points by stated ones, if the former are in feet: a stated height is of the eave or of the ridge
+_FEET_RATIO = (2.4, 4.4)
+# houses of which the median is higher, and so many times as high as they are wide, are drawn in feet
+_SLENDER, _HIGH_M = 1.6, 12.0
+# houses of which the median is lower, by heights in feet, are drawn in metres
+_LOW_M = 2.3
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What is known of n footprints, each (n,), NaN where it is not.
+
+    ground_z_m: of the points. height_m: the median of the points on the footprint above that. width_m: side of a
+    square of its area. stated_height_m: by the footprint. terrain_z_m: of the terrain at its centre. num_points: on the
+    footprint.
+    """
+
+    ground_z_m: np.ndarray
+    height_m: np.ndarray
+    width_m: np.ndarray
+    stated_height_m: np.ndarray
+    terrain_z_m: np.ndarray
+    num_points: np.ndarray
+
+    @property
+    def gap_m(self) -> np.ndarray:
+        """Of the terrain above the ground of the points, of footprints with both."""
+        gap_m = self.terrain_z_m - self.ground_z_m
+        return gap_m[np.isfinite(gap_m)]
+
+
+def sample_of(
+    features: Features, points: CloudIndex, terrain: Terrain | None, most: int = _NUM_SAMPLED
+) -> Sample:
+    """Up to ``most`` footprints, spread over the rows. features: cleaned. points: around them."""
+    rows = np.flatnonzero(~shapely.is_empty(features.geometry))
+    rows = rows[:: stride(len(rows), most)] if len(rows) else rows
+    values = np.full((6, len(rows)), np.nan)
+    values[5] = 0
+    stated_m = features.columns.get("stated_height_m", np.full(len(features), np.nan))
+    for k, row in enumerate(rows.tolist()):
+        shape = features.geometry[row]
+        box = np.array([[*shape.bounds]]) + _AROUND_M * np.array([-1, -1, 1, 1])
+        cloud = points.near(box, adds_classes=False)
+        cropped = crop_cloud(cloud, polygon_arrays.to_polygons(np.array([shape])))
+        on = cropped.point[cropped.inside]
+        is_roof = cloud.classification[on] == BUILDING_CLASS
+        roof_z = cloud.z_m[on[is_roof] if is_roof.any() else on]
+        values[0, k], values[2, k], values[3, k] = cropped.ground_z_m[0], np.sqrt(shape.area), stated_m[row]
+        values[1, k] = np.median(roof_z) - values[0, k] if len(roof_z) else np.nan
+        values[5, k] = len(on)
+    if terrain is not None and len(rows):
+        values[4] = terrain.interpolated(features["centre_x_m"][rows], features["centre_y_m"][rows])
+    return Sample(*values)
+
+
+def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -> None:
+    """Raise :class:`InputError` for heights that contradict each other by a factor or an offset, unless the user states
+    their unit; warn where they are doubtful. height_unit, terrain_unit: that the user states, or ""."""
+    if inputs.terrain is not None:
+        try:
+            check_terrain(sample, str(inputs.terrain[1]))
+        except InputError as error:
+            if not terrain_unit:
+                raise
+            log.warning("warning: %s", str(error).split(";")[0])
+    if not height_unit:
+        is_stated = vertical_part(inputs.metric.source) is not None
+        text = feet_instead_of_metres(sample, inputs.metric.vertical_m)
+        doubt = f"{inputs.headers[0].path}: {text}" if text else ""
+        if doubt and not is_stated and text.startswith("roofs"):
+            raise InputError(doubt)
+        if doubt:
+            log.warning("warning: %s", doubt)
+
+
+def check_terrain(sample: Sample, name: str) -> None:
+    """Raise :class:`InputError` for a terrain that is far from the ground of the points."""
+    gap_m = sample.gap_m
+    if not len(gap_m) or abs(np.median(gap_m)) <= _MAX_GAP_M:
+        return
+    known = np.isfinite(sample.terrain_z_m) & np.isfinite(sample.ground_z_m)
+    ground_m, terrain_m = sample.ground_z_m[known], sample.terrain_z_m[known]
+    where = f"{name}: its heights are {np.median(gap_m):+.1f} m from the ground of the points"
+    for factor, unit in _FACTORS.items():
+        left_m = np.abs(terrain_m * factor - ground_m)
+        if np.median(left_m) <= max(_LEFT_M, _LEFT_SHARE * np.median(np.abs(ground_m))):
+            guess = f"as if they were in {unit}" if unit else f"as if they had to be multiplied by {factor:g}"
+            remedy = f"state --terrain-unit {unit}" if unit else "correct it"
+            other = "" if unit == "m" else ", or --terrain-unit m to take it as it is"
+            raise InputError(f"{where}, {guess}; {remedy}{other}")
+    raise InputError(
+        f"{where}: are both in the same height system? correct it, or state --terrain-unit m to take it as it is"
+    )
+
+
+def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
+    """What tells that heights of points that were taken for metres are in feet, or the other way round; else ""."""
+    is_feet = abs(vertical_m - 0.3048) < 1e-3
+    ratio = sample.height_m / sample.stated_height_m
+    ratio = ratio[np.isfinite(ratio) & (sample.stated_height_m > 2.0) & (sample.height_m > 1.0)]
+    low, high = (1 / _FEET_RATIO[1], 1 / _FEET_RATIO[0]) if is_feet else _FEET_RATIO
+    unit, other = ("m", "ft") if is_feet else ("ft", "m")
+    remedy = f"state --height-unit {unit}, or --height-unit {other} if they are right"
+    if (
+        len(ratio) > 1
+        and low < np.median(ratio) < high
+        and (abs(ratio - np.median(ratio)) < 1.0).mean() > 0.7
+    ):
+        return (
+            f"roofs are {np.median(ratio):.2f} times as high as their footprints state, as if heights were in {unit};"
+            f" {remedy}"
+        )
+    is_known = np.isfinite(sample.height_m)
+    slender = sample.height_m[is_known] / sample.width_m[is_known]
+    is_high = len(slender) > 0 and np.median(sample.height_m[is_known]) > _HIGH_M
+    if not is_feet and is_high and np.median(slender) > _SLENDER:
+        return (
+            f"houses are {np.median(slender):.1f} times as high as wide, as if heights were in ft; {remedy}"
+        )
+    if is_feet and is_known.any() and np.median(sample.height_m[is_known]) < _LOW_M:
+        return (
+            f"houses are {np.median(sample.height_m[is_known]):.1f} m high, as if heights were in m; {remedy}"
+        )
+    return ""
+
+
+def summary(sample: Sample) -> str:
+    """One line of what a sample shows."""
+    has_points = sample.num_points > 0
+    text = f"a look at {len(has_points)} footprints: {int(has_points.sum())} with points"
+    if np.isfinite(sample.height_m).any():
+        roof_m, ground_m = np.nanmedian(sample.height_m), np.nanmedian(sample.ground_z_m)
+        text += f", roofs {roof_m:.1f} m above the ground at {ground_m:.1f} m"
+    if len(sample.gap_m):
+        text += f", terrain {np.median(sample.gap_m):+.1f} m from it"
+    return text

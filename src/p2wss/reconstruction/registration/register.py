@@ -1,0 +1,332 @@
+"""Registration: footprints moved to where the cloud shows the buildings, block by block.
+
+Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruction.registration.shifts`). It is used
+only where the evidence of the points is clear; else the block gets the shift of the blocks around it if these agree. A
+block's shift depends only on these, on the points around, and on the blocks that compete for them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import shapely
+
+from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.reading import Cloud
+from p2wss.data import polygon_arrays
+from p2wss.reconstruction.registration.blocks import Blocks, connected, find_blocks
+from p2wss.reconstruction.registration.footprint_flags import contradictions
+from p2wss.reconstruction.registration.shifts import (
+    DATA_M,
+    EXPECTED,
+    MAX_SHIFT_M,
+    SEARCH,
+    Estimate,
+    edge_steps,
+    no_estimate,
+    point_weights,
+    search_shift,
+    solve_shift,
+)
+from p2wss.reconstruction.running.failures import note, surviving
+from p2wss.skeleton.types import Polygons
+from p2wss.storage.features import Features
+
+# footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
+_BESIDE_M = 20.0
+# blocks this near show the shift of one without clear evidence
+_AROUND_M = 50.0
+# points this far from a block matter to it: the largest shift, what is beyond an edge, and a cell of the search
+REACH_M = MAX_SHIFT_M + DATA_M + SEARCH.cell_m
+# edges are moved to where their steps were found, since further steps may be near
+_NUM_ROUNDS = 2
+
+EDGES, AROUND, NOTHING = "edges", "around", "none"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Which evidence moves a block. Chosen on Delft, with blocks moved by known vectors, so that what is in place stays
+    (``benchmarks/registration.py``, seeds 0 to 29).
+
+    max_sd_m: evidence is clear with a standard deviation of at most this. min_shift_m, min_sigmas: a shift is used from
+    this length, and from this many standard deviations: one edge that misleads shifts a block by less than one.
+    """
+
+    max_sd_m: float = 0.5
+    min_shift_m: float = 0.25
+    min_sigmas: float = 1.5
+
+
+EVIDENCE = Evidence()
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """The movement of n blocks.
+
+    shift_m: (n, 2). sd_m: (n,), the larger standard deviation of the shift; NaN without evidence. source: object (n,),
+    :data:`EDGES`, :data:`AROUND` or :data:`NOTHING`. overhang_m: (n,), how far roofs reach beyond the footprints, NaN
+    without evidence of the edges.
+    """
+
+    shift_m: np.ndarray
+    sd_m: np.ndarray
+    source: np.ndarray
+    overhang_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What registration did to a footprint.
+
+    input_polygon: the footprint before. shift_m: its movement. shift_sd_m: standard deviation of the
+    shift in its worse direction; None without evidence.
+    source: :data:`EDGES`, :data:`AROUND` or :data:`NOTHING`. overhang_m: how far the roofs of the block reach
+    beyond its edges, negative where they end inside; None without evidence of these. flags, ground_inside_m2,
+    roof_outside_m2: how the cloud contradicts the moved footprint
+    (:mod:`p2wss.reconstruction.registration.footprint_flags`). block: the least id of its footprints; empty for a
+    footprint that was excluded.
+    """
+
+    input_polygon: shapely.Polygon
+    shift_m: tuple[float, float]
+    shift_sd_m: float | None
+    source: str
+    overhang_m: float | None = None
+    flags: tuple[str, ...] = ()
+    ground_inside_m2: float = 0.0
+    roof_outside_m2: float = 0.0
+    block: str = ""
+
+
+def register(features: Features, cloud: Cloud) -> tuple[Features, list[Registration]]:
+    """(the footprints where the cloud shows the buildings, what was done to each).
+
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
+    :meth:`Surroundings.around`.
+    """
+    shapes = features.geometry
+    blocks = find_blocks(shapes)
+    least_id: dict[int, str] = {}
+    for block, name in zip(blocks.of_footprint.tolist(), features["building_id"].tolist(), strict=True):
+        least_id[block] = min(name, least_id.get(block, name))
+    shifts = block_shifts(blocks, cloud, least_id)
+    polygons = polygon_arrays.to_polygons(shapes)
+    of_vertex = np.repeat(blocks.of_footprint, np.diff(polygons.vertex_offset))
+    xy_m = moved(polygons.xy_m, of_vertex, shifts.shift_m)
+    moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
+    geometries = polygon_arrays.to_geometries(moved_polygons)
+    evidence = contradictions(moved_polygons, cloud)
+    rows = []
+    for k, block in enumerate(blocks.of_footprint.tolist()):
+        if block < 0:
+            rows.append(Registration(shapes[k], (0.0, 0.0), None, NOTHING))
+            continue
+        shift_m, sd_m, overhang_m = shifts.shift_m[block], shifts.sd_m[block], shifts.overhang_m[block]
+        rows.append(
+            Registration(
+                shapes[k],
+                (float(shift_m[0]), float(shift_m[1])),
+                float(sd_m) if np.isfinite(sd_m) else None,
+                str(shifts.source[block]),
+                float(overhang_m) if np.isfinite(overhang_m) else None,
+                evidence.flags[k],
+                float(evidence.ground_inside_m2[k]),
+                float(evidence.roof_outside_m2[k]),
+                least_id[block],
+            )
+        )
+    return replace(features, geometry=geometries), rows
+
+
+def summary(registrations: Iterable[Registration | None]) -> str:
+    """One line: how many footprints were moved, and which the cloud contradicts; None counts as without evidence.
+
+    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 in place, 0 without evidence;
+    extended: 6``
+    """
+    length_m: list[float] = []
+    flags: Counter[str] = Counter()
+    num_rows = num_without = 0
+    for row in registrations:
+        num_rows += 1
+        num_without += row is None or row.source == NOTHING
+        if row is not None:
+            flags.update(row.flags)
+            if row.shift_m != (0.0, 0.0):
+                length_m.append(float(np.hypot(*row.shift_m)))
+    text = f"registration: {len(length_m)} of {num_rows} footprints moved"
+    if length_m:
+        text += f", {min(length_m):.2f} to {max(length_m):.2f} m"
+    num_others = num_rows - len(length_m) - num_without
+    text += f"; {num_others} in place, {num_without} without evidence"
+    return text + "".join(f"; {name}: {count}" for name, count in sorted(flags.items()))
+
+
+class Surroundings:
+    """The blocks of all footprints of a run, and which of them the registration of others depends on."""
+
+    def __init__(self, footprints: np.ndarray) -> None:
+        """footprints: object array of polygons."""
+        self._present = np.flatnonzero(~shapely.is_empty(footprints))
+        self._of_present = connected(footprints[self._present])
+        count = int(self._of_present.max(initial=-1)) + 1
+        bounds = np.full((count, 4), np.inf)
+        corners = shapely.bounds(footprints[self._present]) * [1, 1, -1, -1]
+        np.minimum.at(bounds, self._of_present, corners)
+        self._box = shapely.box(*(bounds * [1, 1, -1, -1]).T)
+        self._tree = shapely.STRtree(self._box)
+
+    def around(self, is_chosen: np.ndarray) -> np.ndarray:
+        """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
+
+        These are all footprints of their blocks, those beside them, which their flags depend on, those around all
+        these, whose shift they may get, and those with which they compete for points.
+        """
+        blocks = np.unique(self._of_present[is_chosen[self._present]])
+        for distance_m in (_BESIDE_M, _AROUND_M + 1, 2 * REACH_M):
+            blocks = np.unique(
+                self._tree.query(self._box[blocks], predicate="dwithin", distance=distance_m)[1]
+            )
+        result = is_chosen.copy()
+        result[self._present[np.isin(self._of_present, blocks)]] = True
+        return result
+
+    def whole_blocks(self, is_chosen: np.ndarray) -> np.ndarray:
+        """All footprints of the blocks of the chosen ones, bool (footprints,)."""
+        blocks = self._of_present[is_chosen[self._present]]
+        result = is_chosen.copy()
+        result[self._present[np.isin(self._of_present, blocks)]] = True
+        return result
+
+
+def moved(xy_m: np.ndarray, block: np.ndarray, shift_m: np.ndarray) -> np.ndarray:
+    """Vertices (v, 2) of blocks, moved by the shifts of these, (n, 2)."""
+    return xy_m + shift_m[block] if len(shift_m) else xy_m
+
+
+def block_shifts(blocks: Blocks, cloud: Cloud, names: Mapping[int, str] | None = None) -> Shifts:
+    """The movement of every block. names: of blocks, for messages."""
+    near = _Near(blocks, cloud)
+    return decide(near.estimates(names or {}), blocks_around(blocks))
+
+
+def blocks_around(blocks: Blocks) -> np.ndarray:
+    """Pairs of blocks that are near each other, int64 (p, 2), each twice, ascending."""
+    corner = blocks.edge.reshape(-1, 2)
+    low, high = np.full((len(blocks), 2), np.inf), np.full((len(blocks), 2), -np.inf)
+    np.minimum.at(low, np.repeat(blocks.of_edge, 2), corner)
+    np.maximum.at(high, np.repeat(blocks.of_edge, 2), corner)
+    boxes = shapely.box(*low.T, *high.T)
+    pairs = shapely.STRtree(boxes).query(boxes, predicate="dwithin", distance=_AROUND_M).T
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
+
+
+class _Near:
+    """The points near blocks, and the blocks where they are assumed to be."""
+
+    def __init__(self, blocks: Blocks, cloud: Cloud) -> None:
+        self.blocks = blocks
+        point, _, offset = crop_points(cloud.x_m, cloud.y_m, blocks.outline, REACH_M)
+        used = np.zeros(len(cloud), bool)
+        used[point] = True
+        number = np.cumsum(used) - 1
+        self.x_m, self.y_m = cloud.x_m[used], cloud.y_m[used]
+        self.weight = point_weights(cloud.classification[used])
+        point = number[point]
+        first = np.searchsorted(blocks.of_outline, np.arange(len(blocks) + 1))
+        self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]
+        for block in np.flatnonzero(np.diff(first) > 1).tolist():
+            self.points[block] = np.unique(self.points[block])
+        self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
+
+    def block_of_points(self) -> np.ndarray:
+        """The block in whose outline each point is, -1 for none."""
+        point, inside, offset = crop_points(self.x_m, self.y_m, self.blocks.outline, 0.0)
+        of_pair = np.repeat(self.blocks.of_outline, np.diff(offset))
+        result = np.full(len(self.x_m), -1, np.int64)
+        # in an overlap, a point is of the first block
+        result[point[inside][::-1]] = of_pair[inside][::-1]
+        return result
+
+    def estimates(self, names: Mapping[int, str]) -> list[Estimate]:
+        """The estimate of every block; where errors are met, none of a block at which it fails."""
+        blocks, rows = self.blocks, list(pairwise(self.edges))
+        inside = self.block_of_points()
+        failed: set[int] = set()
+
+        def search(block: int) -> np.ndarray:
+            first, last = rows[block]
+            point = self.points[block]
+            point = point[(inside[point] == block) | (inside[point] < 0)]
+            xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
+            return search_shift(blocks.edge[first:last], xy_m, self.weight[point])
+
+        def stays(block: int, trace: str) -> list[np.ndarray]:
+            note(
+                f"registration of the block of {names.get(block, str(block))}", trace, "it stays where it is"
+            )
+            failed.add(block)
+            return [np.zeros(2)]
+
+        def solve(block: int) -> Estimate:
+            first, last = rows[block]
+            last = first if block in failed else last  # without an edge, there is no evidence
+            return solve_shift(edge[first:last], step_m[first:last], shift_m[block])
+
+        def unknown(block: int, trace: str) -> list[Estimate]:
+            stays(block, trace)
+            return [no_estimate()]
+
+        numbers = range(len(blocks))
+        shift_m = np.array(surviving(lambda some: map(search, some), numbers, stays)).reshape(-1, 2)
+        best = [no_estimate()] * len(blocks)
+        for _ in range(_NUM_ROUNDS):
+            edge = moved(blocks.edge.reshape(-1, 2), np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
+            step_m = edge_steps(edge, self.x_m, self.y_m, self.weight)
+            found = surviving(lambda some: map(solve, some), numbers, unknown)
+            found_m = np.array([each.shift_m for each in found]).reshape(-1, 2)
+            shift_m = np.where(np.hypot(*found_m.T)[:, None] <= MAX_SHIFT_M, found_m, shift_m)
+            best = [min(pair, key=lambda each: each.sd_m) for pair in zip(best, found, strict=True)]
+        return best
+
+
+def decide(estimates: list[Estimate], pairs: np.ndarray) -> Shifts:
+    """The movements that are applied, decided by the evidence.
+
+    pairs: of blocks that are near each other, (p, 2), each twice, ascending.
+    """
+    count = len(estimates)
+    shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
+    sd_m, overhang_m = np.array([(each.sd_m, each.overhang_m) for each in estimates]).reshape(-1, 2).T
+    is_clear = (np.hypot(*shift_m.T) <= MAX_SHIFT_M) & (sd_m <= EVIDENCE.max_sd_m)
+    source = np.where(is_clear, EDGES, NOTHING).astype(object)
+    shift_m[~is_clear], sd_m[~is_clear], overhang_m[~is_clear] = 0.0, np.nan, np.nan
+    of_block = np.split(pairs[:, 1], np.searchsorted(pairs[:, 0], np.arange(1, count)))
+    for block in np.flatnonzero(~is_clear).tolist():
+        around_m, around_sd_m = shift_around(shift_m[of_block[block][is_clear[of_block[block]]]])
+        if around_sd_m <= EVIDENCE.max_sd_m:
+            source[block], shift_m[block], sd_m[block] = AROUND, around_m, around_sd_m
+    least_m = np.fmax(EVIDENCE.min_sigmas * sd_m, EVIDENCE.min_shift_m)
+    shift_m[np.hypot(*shift_m.T) < least_m] = 0.0
+    return Shifts(np.round(shift_m, 3), sd_m, source, overhang_m)
+
+
+def shift_around(shift_m: np.ndarray) -> tuple[np.ndarray, float]:
+    """(shift (2,), its standard deviation) of a further block, if those around it have the shifts (n, 2).
+
+    The further block is within two deviations in 95 % of cases, also where these are estimated from few blocks: the
+    distance is that of a Student distribution of two dimensions. Infinite for less than two blocks.
+    """
+    if len(shift_m) < 2:
+        return np.zeros(2), float("inf")
+    mean_m, num_degrees = np.mean(shift_m, axis=0), 2 * (len(shift_m) - 1)
+    variance_m2 = ((shift_m - mean_m) ** 2).sum() / num_degrees * (1 + 1 / len(shift_m))
+    within_m2 = variance_m2 * num_degrees * (0.05 ** (-2 / num_degrees) - 1)
+    return mean_m, float(np.sqrt(within_m2 / 4 + EXPECTED.block_sd_m**2))

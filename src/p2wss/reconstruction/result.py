@@ -1,0 +1,209 @@
+"""A building of the output, and what its points say of its mesh."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import date
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from p2wss.clouds.cropping import seen_share
+from p2wss.config import Reconstruct
+from p2wss.data import reasons
+from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.points import stride
+from p2wss.fit.roof_edges import mean_overhang_m
+from p2wss.mesh.surface import distance_to_mesh
+from p2wss.reconstruction.outputs.measures import MeshMeasures, measure
+from p2wss.reconstruction.product import NETWORK
+from p2wss.reconstruction.registration.register import Registration
+
+if TYPE_CHECKING:
+    from p2wss.reconstruction.scene import SceneBuilding
+
+# a residual is the mean over at most this many points
+_MAX_RESIDUAL_POINTS = 2048
+# that are kept for the page of the run
+_MAX_SAMPLE_POINTS = 256
+# of the share of points near the mesh
+_NEAR_M = 0.2
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the input: a footprint with its points.
+
+    number: of the row in the results. status: of the footprint, "ok" or why it cannot be used. columns, registration,
+    dates, ground, failure: as in :class:`Result`.
+    """
+
+    number: int
+    building: Building
+    status: str
+    columns: Mapping[str, Any] = field(default_factory=dict)
+    registration: Registration | None = None
+    dates: tuple[date, date] | None = None
+    ground: tuple[str, float] | None = None
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A building of the output: its reconstruction, its points and how well the mesh fits them.
+
+    status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
+    residual_m: mean distance of the points on the building to the mesh; NaN without any.
+    visible_share: share of the footprint's 1 m cells that have a point on the building.
+    not_representable: the building was fitted, but the residual is more than ``not_representable_m``.
+    columns: values of the footprint's input columns by their names, None where there is no value.
+    registration: how the footprint was moved, None without a registration.
+    rmse_m, share_within_20cm: of the same distances as the residual.
+    is_reliable: a reconstruction that the points support.
+    dates: the first and the last day of its points; None if unknown.
+    overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the length of those where points
+    show it, negative where they end within; NaN where none shows it.
+    measures: of the mesh; None without one.
+    party_wall_area_m2: of the walls that stand against other buildings of the run.
+    ground: where the height of the ground is from, and its standard deviation
+    (:class:`p2wss.reconstruction.points.ground.Grounds`).
+    sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
+    failure: of a building with the reason ``internal-error``, the traceback.
+    num_lines: of the lines that a map knows of its roof, how many there are; None in a run without.
+    """
+
+    reconstruction: Reconstruction
+    status: str
+    reason: str | None
+    num_points: int
+    residual_m: float
+    visible_share: float
+    not_representable: bool
+    columns: Mapping[str, Any] = field(default_factory=dict)
+    registration: Registration | None = None
+    rmse_m: float = float("nan")
+    share_within_20cm: float = float("nan")
+    is_reliable: bool = False
+    dates: tuple[date, date] | None = None
+    overhang_m: float = float("nan")
+    measures: MeshMeasures | None = None
+    party_wall_area_m2: float = 0.0
+    ground: tuple[str, float] | None = None
+    sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
+    failure: str = ""
+    num_lines: int | None = None
+
+
+def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> Result:
+    """The result of a row of the input, for which there is this reconstruction."""
+    building = row.building
+    reason = None if reconstruction.status == "ok" else reconstruction.status
+    status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
+    if reconstruction.is_simplified:
+        reason = reason or reasons.SIMPLIFIED
+    on_building = building.is_on_building if building.rings else np.zeros(len(building.point_m), bool)
+    point_m = building.point_m[on_building]
+    point_m = point_m[:: stride(len(point_m), _MAX_RESIDUAL_POINTS)]
+    distance_m = _distances_m(point_m, reconstruction)
+    # of a building without a mesh the distances are 0
+    with_distance = np.column_stack([point_m, distance_m if len(distance_m) else np.zeros(len(point_m))])
+    residual_m = rmse_m = share_within_20cm = float("nan")
+    if len(distance_m):
+        residual_m, rmse_m = float(distance_m.mean()), float(np.sqrt((distance_m**2).mean()))
+        share_within_20cm = float((distance_m <= _NEAR_M).mean())
+    is_fitted = status == "ok" and reconstruction.method != NETWORK
+    is_far = residual_m > config.not_representable_m
+    visible_share = _visible_share(building, on_building) if building.rings else float("nan")
+    overhang_m = float("nan")
+    if building.rings:
+        overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
+    is_reliable = status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5
+    return Result(
+        reconstruction,
+        status,
+        reason,
+        len(building.point_m),
+        residual_m,
+        visible_share,
+        is_fitted and is_far,
+        row.columns,
+        row.registration,
+        rmse_m,
+        share_within_20cm,
+        is_reliable=is_reliable,
+        dates=row.dates,
+        ground=row.ground,
+        overhang_m=overhang_m,
+        measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
+        sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
+        failure=row.failure,
+        num_lines=building.num_lines,
+    )
+
+
+def failed(row: Row, method: str) -> Result:
+    """The result of a row where even a flat roof, or what is measured of it, has failed: what needs no computation."""
+    reason, unknown = reasons.INTERNAL_ERROR, float("nan")
+    return Result(
+        no_mesh(row.building, method, reason),
+        "none",
+        reason,
+        len(row.building.point_m),
+        residual_m=unknown,
+        visible_share=unknown,
+        not_representable=False,
+        columns=row.columns,
+        registration=row.registration,
+        dates=row.dates,
+        ground=row.ground,
+        failure=row.failure,
+        num_lines=row.building.num_lines,
+    )
+
+
+def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
+    """Distances of points on the building to its mesh; none without both."""
+    mesh = reconstruction.mesh
+    if mesh is None or not len(point_m):
+        return np.zeros(0)
+    return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
+
+
+def _visible_share(building: Building, on_building: np.ndarray) -> float:
+    """Share of the cells with a point on the building, as ``visible_roof_share`` of the crops."""
+    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[on_building, :2].T * 100))
+    rings = [np.asarray(ring, float) for ring in building.rings]
+    ends = np.cumsum([0, *map(len, rings)])
+    offset = np.array([0, len(x_cm)])
+    share = seen_share(
+        x_cm, y_cm, np.ones(len(x_cm), bool), offset, np.concatenate(rings), ends, np.array([0, len(rings)])
+    )
+    return float(share[0])
+
+
+def summary(results: Iterable[Result | SceneBuilding]) -> str:
+    """One line: how many of each status, and why.
+
+    ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``
+    """
+    reasons: dict[str, Counter[str]] = {status: Counter() for status in ("ok", "flat", "none")}
+    num_with_status: Counter[str] = Counter()
+    num_results = num_flagged = num_lines = num_used = 0
+    for result in results:
+        num_results += 1
+        num_with_status[result.status] += 1
+        reasons[result.status].update(filter(None, [result.reason]))
+        num_flagged += result.not_representable
+        if isinstance(result, Result) and result.num_lines:
+            num_lines += result.num_lines
+            num_used += result.reconstruction.num_lines_used
+    parts = []
+    for status, of_status in reasons.items():
+        text = ", ".join(f"{reason}: {count}" for reason, count in sorted(of_status.items()))
+        if num_with_status[status] or status == "ok":
+            parts.append(f"{num_with_status[status]} {status}" + (f" ({text})" if text else ""))
+    flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
+    lines = f"; of {num_lines} lines {num_used} used, {num_lines - num_used} unused" if num_lines else ""
+    return f"{num_results} buildings: " + ", ".join(parts) + flagged + lines

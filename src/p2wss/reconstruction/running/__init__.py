@@ -1,0 +1,1 @@
+"""Many buildings in processes, with failures survived and results kept on disk."""

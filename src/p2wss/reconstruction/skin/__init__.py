@@ -1,0 +1,127 @@
+"""One closed skin for each block of buildings that touch: party walls vanish where there are buildings on both sides.
+
+The walls that lie on each other are cut at common points and cancel out; everything else keeps its points, in float64.
+So the skin has no gap and no sliver that the buildings do not have, and every face keeps its building and kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from p2wss.mesh import Mesh
+from p2wss.mesh.planar import with_exact_faces
+from p2wss.reconstruction.running.failures import note, surviving
+from p2wss.reconstruction.skin.common_roofs import with_common_roofs
+from p2wss.reconstruction.skin.noding import node
+from p2wss.reconstruction.skin.party_walls import NotJoined, without_common
+from p2wss.reconstruction.skin.solids import (
+    MAX_LOWERING_M,
+    Face,
+    area_vectors,
+    faces_of,
+    on_common_floors,
+    opposite_walls,
+    weld,
+)
+from p2wss.reconstruction.skin.triangles import sheets, triangulated
+from p2wss.skeleton.groups import groups
+
+__all__ = ["Skin", "skins"]
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A closed surface around one building, or around several that touch.
+
+    building_ids: of the buildings, sorted. mesh: in the coordinates of theirs; every edge has exactly two triangles and
+    every vertex one fan of them; every face has a label of its own. building: int32 (t,), index into ``building_ids``.
+    failure: why the buildings could not be joined, if this is a single building that touches others.
+    """
+
+    building_ids: tuple[str, ...]
+    mesh: Mesh
+    building: np.ndarray
+    failure: str | None = None
+
+
+def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
+    """One skin per block, in the order of the first building of each. Every building is part of one.
+
+    solids: closed meshes by the ids of the buildings, with vertical walls and one roof height at every place.
+    max_lowering_m: floors of touching buildings are lowered by at most this to be level.
+
+    A block whose walls do not fit each other stays in separate skins with their ``failure``, and so does one at which
+    the code fails, where errors are met: a skin is always closed.
+    """
+    if not solids:
+        return []
+    origin = np.floor(np.min([mesh.vertex_m.min(axis=0) for mesh in solids.values()], axis=0))
+    local = {name: mesh.translated(-origin) for name, mesh in solids.items()}
+    point, faces = faces_of(list(local.values()))
+    building_of = np.array([face.building for face in faces])
+    touching = building_of[opposite_walls(point, faces)].reshape(-1, 2)
+    local = on_common_floors(local, touching, max_lowering_m)
+    names, block_of = np.array(list(local), object), groups(len(local), touching)
+    blocks = [
+        {name: local[name] for name in sorted(names[block_of == block])}
+        for block in dict.fromkeys(block_of.tolist())
+    ]
+
+    def apart(block: Mapping[str, Mesh], trace: str) -> list[Skin]:
+        note(f"skin of the block of {min(block)}", trace, "its buildings stay apart")
+        return unjoined({name: mesh.translated(origin) for name, mesh in block.items()}, "internal error")
+
+    return surviving(lambda some: [skin for block in some for skin in _joined(block, origin)], blocks, apart)
+
+
+def unjoined(solids: Mapping[str, Mesh], failure: str) -> list[Skin]:
+    """A skin for each building, which is its mesh."""
+    return [
+        Skin((name,), mesh, np.zeros(len(mesh.triangle), np.int32), failure) for name, mesh in solids.items()
+    ]
+
+
+def _joined(solids: Mapping[str, Mesh], origin: np.ndarray) -> list[Skin]:
+    """The skin around solids that touch, or one around each."""
+    failure = None
+    if len(solids) > 1:
+        try:
+            joined = with_common_roofs(list(solids.values()))
+            return [_skin(list(solids), *_block(joined), origin)]
+        except NotJoined as error:
+            failure = str(error)
+    return [_skin([name], *faces_of([mesh]), origin, failure) for name, mesh in solids.items()]
+
+
+def _block(solids: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
+    """Points and faces of the skin around solids that touch."""
+    point, faces = faces_of(solids)
+    pairs = opposite_walls(point, faces)
+    walls = np.unique(pairs).tolist()
+    point = weld(point, faces, walls)
+    point = node(point, faces, walls)
+    walls = [wall for wall in walls if faces[wall].rings]
+    plane_of, areas = groups(len(faces), pairs)[walls], area_vectors(point, [faces[wall] for wall in walls])
+    remaining: list[Face] = []
+    for plane in dict.fromkeys(plane_of.tolist()):
+        here = np.flatnonzero(plane_of == plane)
+        remaining += without_common(point, faces, [walls[k] for k in here.tolist()], areas[here])
+    apart = set(walls)
+    remaining += [face for number, face in enumerate(faces) if number not in apart and face.rings]
+    return point, remaining
+
+
+def _skin(
+    building_ids: Sequence[str],
+    point: np.ndarray,
+    faces: Sequence[Face],
+    origin: np.ndarray,
+    failure: str | None = None,
+) -> Skin:
+    mesh = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
+    exact = with_exact_faces(sheets(mesh), walls_stay=len(building_ids) == 1)
+    building = np.array([face.building for face in faces], np.int32)[exact.label]
+    return Skin(tuple(building_ids), exact.translated(origin), building, failure)

@@ -1,0 +1,182 @@
+"""Roofs and fronts of neighbours that differ by centimetres at their common wall: where they are one plane but for
+noise, they become one, and others move as planes until they meet there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from p2wss.mesh import Mesh
+from p2wss.mesh.meeting import turned_over, with_meeting_planes
+from p2wss.mesh.topology import NEXT
+from p2wss.reconstruction.skin.solids import faces_of, opposite_walls
+from p2wss.skeleton.groups import groups
+from p2wss.skeleton.types import FaceKind
+
+# steps between neighbours lower than this are none, and no vertex moves further
+MAX_STEP_M = 0.1
+# planes do not meet if they are further than this from their point
+_APART_M = 1e-4
+# planes of neighbours are one if they are turned by less, and no vertex of theirs is further from one through all
+_ONE_COSINE, _ONE_M = np.cos(np.radians(3.0)), 0.05
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What is a little apart at a common wall: vertices or planes of two neighbours that become one, or a vertex and
+    the plane that then goes through it.
+
+    gap_m: between them. vertices, planes: of the mesh of all. buildings: of both.
+    """
+
+    gap_m: float
+    vertices: tuple[int, ...]
+    planes: tuple[int, ...]
+    buildings: tuple[int, int]
+
+
+def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) -> list[Mesh]:
+    """Solids that touch, without those steps of less than ``max_step_m`` between their roofs, and between their inner
+    walls, that vanish if planes move so that they meet at the common wall. Roofs, and walls, of neighbours that are one
+    plane but for centimetres are one afterwards.
+
+    Only planes move: roofs stay planar, walls upright, and outer walls and floors where they are unless two walls
+    become one. Steps stay, the highest first, where a vertex would move further than ``max_step_m`` or a triangle turn
+    over.
+    """
+    mesh = Mesh.joined(solids)
+    building = np.repeat(np.arange(len(solids)), [len(solid.vertex_m) for solid in solids])
+    steps = _steps(mesh, solids, building, max_step_m)
+    vertex_at, plane_at = mesh.at
+    moved, is_wrong = mesh, bool(steps)
+    while is_wrong:
+        linked = [step.vertices for step in steps if len(step.vertices) == 2]
+        one_plane = groups(len(mesh.planes.kind), _pairs([s.planes for s in steps if len(s.planes) == 2]))
+        through = [
+            (s.vertices[0], int(one_plane[s.planes[0]])) for s in steps if len(s.vertices) == len(s.planes)
+        ]
+        whole = replace(mesh, label=one_plane[mesh.number])
+        moved, apart_m = with_meeting_planes(whole, groups(len(building), _pairs(linked)), through)
+        is_bad = np.linalg.norm(moved.vertex_m - mesh.vertex_m, axis=1) > max_step_m
+        is_bad |= apart_m > _APART_M
+        is_bad[mesh.triangle[turned_over(moved, mesh)]] = True
+        is_bad_plane = np.zeros(len(one_plane), bool)
+        is_bad_plane[plane_at[is_bad[vertex_at]]] = True
+        worst: dict[int, tuple[bool, float, int]] = {}
+        for number, step in enumerate(steps):
+            at_step = is_bad[[*step.vertices]] if step.vertices else is_bad_plane[[*step.planes]]
+            rank = bool(at_step.any()), step.gap_m, number
+            for each in step.buildings:
+                worst[each] = max(worst.get(each, rank), rank)
+        gone = {worst[each][2] for each in set(building[is_bad].tolist()) & worst.keys()}
+        is_wrong = bool(gone)
+        steps = [step for number, step in enumerate(steps) if number not in gone]
+    place_m = np.split(moved.vertex_m, np.cumsum([len(solid.vertex_m) for solid in solids])[:-1])
+    joined = {each for step in steps for each in step.buildings}
+    return [
+        solid.moved(vertex_m) if number in joined else solid
+        for number, (solid, vertex_m) in enumerate(zip(solids, place_m, strict=True))
+    ]
+
+
+def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m: float) -> list[_Step]:
+    """The steps of less than ``max_step_m`` between solids that touch, and their planes that are one. mesh: all of
+    them. building: of its vertices."""
+    planes = mesh.planes
+    point, faces = faces_of(solids)
+    # floors and the walls on them stay
+    on_floor, on_moving = np.zeros((2, len(mesh.vertex_m)), bool)
+    on_floor[mesh.triangle[mesh.kind == FaceKind.GROUND]] = True
+    moves = np.ones(len(planes.kind), bool)
+    moves[mesh.number[on_floor[mesh.triangle].any(axis=1)]] = False
+    on_moving[mesh.triangle[moves[mesh.number]]] = True
+    is_free, may_move = on_moving.tolist(), moves.tolist()
+    ends = np.column_stack([mesh.triangle.ravel(), mesh.triangle[:, NEXT].ravel()]).tolist()
+    beyond = dict(zip(map(tuple, ends), np.repeat(mesh.number, 3).tolist(), strict=True))
+    pairs = opposite_walls(point, faces).tolist()
+    # of each wall, the half-edges of the faces beside it
+    across = {
+        wall: [(b, a) for ring in faces[wall].rings for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
+        for pair in pairs
+        for wall in pair
+    }
+    party_walls = {beyond[edges[0][::-1]] for edges in across.values()}
+    beside = {
+        (beyond[one], beyond[other]): (faces[pair[0]].building, faces[pair[1]].building)
+        for pair in pairs
+        for one, other in product(*(across[wall] for wall in pair))
+        if not {beyond[one], beyond[other]} & party_walls
+    }
+    found = {(step.vertices, step.planes): step for step in _one_planes(mesh, beside)}
+    for pair in pairs:
+        rings = [faces[wall].rings for wall in pair]
+        corners = [[v for ring in each for v in ring if is_free[v]] for each in rings]
+        if not all(corners):
+            continue
+        gap_m = np.linalg.norm(point[corners[0]][:, None] - point[corners[1]], axis=2)
+        for mine, theirs, gaps_m in ((0, 1, gap_m), (1, 0, gap_m.T)):
+            edge = _pairs([each for each in across[pair[theirs]] if may_move[beyond[each]]])
+            nearest = gaps_m.argmin(axis=1)
+            for k, vertex in enumerate(corners[mine]):
+                other, plane, least_m = corners[theirs][nearest[k]], -1, gaps_m[k, nearest[k]]
+                if least_m >= max_step_m or gaps_m[:, nearest[k]].argmin() != k:
+                    start, along = point[edge[:, 0]], point[edge[:, 1]] - point[edge[:, 0]]
+                    share = ((point[vertex] - start) * along).sum(axis=1) / (along**2).sum(axis=1)
+                    away_m = np.linalg.norm(point[vertex] - start - share[:, None] * along, axis=1)
+                    away_m[(share <= 0) | (share >= 1)] = np.inf
+                    least_m = away_m.min(initial=np.inf)
+                    if least_m >= max_step_m:
+                        continue
+                    other, plane = -1, beyond[tuple(edge[away_m.argmin()].tolist())]
+                buildings = int(building[vertex]), int(building[corners[theirs][0]])
+                both = (vertex,) if other < 0 else tuple(sorted((vertex, other)))
+                step = _Step(float(least_m), both, (plane,) if other < 0 else (), buildings)
+                found[step.vertices, step.planes] = step
+    return list(found.values())
+
+
+def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -> list[_Step]:
+    """The planes of neighbours that are one but for centimetres. beside: the buildings of pairs of planes at common
+    walls."""
+    planes, (vertex, plane) = mesh.planes, mesh.at
+    order = np.argsort(plane, kind="stable")
+    point_m = dict(enumerate(np.split(mesh.vertex_m[vertex[order]], np.cumsum(np.bincount(plane))[:-1])))
+
+    def off_plane_m(point_m: np.ndarray, kind: int) -> float:
+        """How far the furthest place (m, 3) is from the plane through all, an upright one of walls."""
+        away_m = (point_m - point_m.mean(axis=0))[:, : 2 if kind == FaceKind.WALL else 3]
+        return float(np.abs(away_m @ np.linalg.eigh(away_m.T @ away_m)[1][:, 0]).max())
+
+    candidates = []
+    for (one, other), buildings in beside.items():
+        kind = planes.kind[one]
+        # steps between level roofs move these as a whole
+        is_alike = kind == planes.kind[other] and kind in (FaceKind.ROOF, FaceKind.WALL)
+        if is_alike and planes.normal[one] @ planes.normal[other] > _ONE_COSINE:
+            gap_m = off_plane_m(np.concatenate([point_m[one], point_m[other]]), kind)
+            candidates.append(_Step(gap_m, (), (one, other), buildings))
+    # of a long row, only as many as all together are one
+    result, first = [], {number: number for number in point_m}
+    for step in sorted(candidates, key=lambda step: (step.gap_m, step.planes)):
+        one, other = (_root(first, each) for each in step.planes)
+        if one != other:
+            together_m = np.concatenate([point_m[one], point_m[other]])
+            if off_plane_m(together_m, planes.kind[one]) < _ONE_M:
+                result.append(step)
+                first[other], point_m[one] = one, together_m
+    return result
+
+
+def _root(first: dict[int, int], number: int) -> int:
+    """The one that stands for all planes that are one with a plane."""
+    while first[number] != number:
+        first[number] = number = first[first[number]]
+    return number
+
+
+def _pairs(pairs: Sequence[tuple[int, ...]]) -> np.ndarray:
+    """int (n, 2)."""
+    return np.array(pairs, int).reshape(-1, 2)

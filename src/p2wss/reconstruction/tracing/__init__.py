@@ -1,0 +1,1 @@
+"""Outlines derived from points, where there are no footprints."""

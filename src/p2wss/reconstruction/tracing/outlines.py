@@ -1,0 +1,280 @@
+"""Outlines of buildings from classified points alone, where there are no footprints.
+
+Cells with points of class building, connected, are a block: buildings that touch. A block is split where the height of
+its roofs jumps. The edge of a block is traced on the raster, regularised and fitted to the points
+(:mod:`p2wss.reconstruction.tracing.outline_rings`); the seams between its buildings are straight lines through it, so
+that neighbours share bit-identical walls. Outlines are those of roofs, which overhang the walls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyproj
+import rasterio.features
+import scipy
+import shapely
+from rasterio.transform import Affine
+
+from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.reading import Cloud
+from p2wss.config import Outlines
+from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
+from p2wss.reconstruction.points.unclassified import filled
+from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
+from p2wss.skeleton.groups import cell_neighbours, groups
+from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
+
+# a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
+# clouds of nearly the same density have the same cells
+_POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20
+_SQUARE = np.ones((3, 3), bool)
+# the trace of a block is that of a smoothed raster with smaller cells
+_FINER, _SMOOTH_CELLS = 3, 0.8
+# large buildings are split at smaller and smaller jumps, down to this
+_LEAST_JUMP_M = 0.4
+# around the trace of a block
+_POINTS_MARGIN_M = 2.0
+# the grid of seams, and how far a face may reach beyond the outline by rounding
+_GRID_M, _TOLERANCE_M = 1e-3, 0.01
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Blocks and buildings in cells.
+
+    building: int32 (rows, columns), number of the building from 1, 0 outside. block: the same, of the block. origin_m:
+    x and y of the lower left corner; rows count to the north. density: points of class building per square metre.
+    """
+
+    building: np.ndarray
+    block: np.ndarray
+    origin_m: tuple[float, float]
+    cell_m: float
+    density: float
+
+
+def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
+    """Polygons of the outlines of all buildings in the cloud, an object array in the order of their lower left corners.
+
+    Neighbours share vertices along common walls. Raises :class:`InputError` if the cloud has no points, or none of
+    class building (:func:`p2wss.reconstruction.points.unclassified.with_classes` gives a cloud without classes some).
+    """
+    if not len(cloud):
+        raise InputError("no outlines: the cloud has no points")
+    is_building = cloud.classification == BUILDING_CLASS
+    if not is_building.any():
+        raise InputError("no outlines: the cloud has no points on buildings (class 6)")
+    raster = rasterised(cloud, settings)
+    traces = _block_traces(raster, settings)
+    if not traces:
+        raise InputError(f"no outlines: no building has at least {settings.min_area_m2:g} m2")
+    polygons = np.array([trace.polygon for trace in traces], dtype=object)
+    arrays = polygon_arrays.to_polygons(polygons)
+    point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
+    result: list[shapely.Polygon] = []
+    is_free = has_class(cloud.classification, (GROUND_CLASS, WATER_CLASS))
+    for index, trace in enumerate(traces):
+        near = np.sort(point[offset[index] : offset[index + 1]])
+        xy_m = np.column_stack([cloud.x_m[near], cloud.y_m[near]])
+        points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
+        result += _of_block(trace, points, raster, settings)
+    shapes = np.array(result, dtype=object)
+    bounds = shapely.bounds(shapes)
+    return shapes[np.lexsort((bounds[:, 1], bounds[:, 0]))]
+
+
+def outline_features(cloud: Cloud, settings: Outlines, crs: pyproj.CRS) -> Features:
+    """The outlines as footprints with the column ``building_id``, numbers from 1 as text."""
+    shapes = outlines(cloud, settings)
+    ids = np.array([str(number + 1) for number in range(len(shapes))], object)
+    return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
+
+
+def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
+    """The cells of blocks and buildings. Cells begin at whole multiples of their size, whatever the window."""
+    is_building = cloud.classification == BUILDING_CLASS
+    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
+    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
+    column = np.floor(cloud.x_m / cell_m).astype(np.int64)
+    row = np.floor(cloud.y_m / cell_m).astype(np.int64)
+    first = int(column.min()) - 2, int(row.min()) - 2
+    column, row = column - first[0], row - first[1]
+    shape = int(row.max()) + 3, int(column.max()) + 3
+    cell = row * shape[1] + column
+    counts = [
+        np.bincount(cell[cloud.classification == value], minlength=shape[0] * shape[1]).reshape(shape)
+        for value in (BUILDING_CLASS, GROUND_CLASS)
+    ]
+    is_roof = (counts[0] > 0) & (counts[0] >= counts[1])
+    is_roof |= scipy.ndimage.binary_closing(is_roof, _SQUARE) & (counts[1] == 0)
+    is_roof = scipy.ndimage.binary_opening(is_roof, _SQUARE)
+    block = _large(scipy.ndimage.label(is_roof)[0], settings.min_area_m2 / cell_m**2)
+    height_m = _heights(cell[is_building], cloud.z_m[is_building], shape)
+    building = _split(block, height_m, settings, cell_m)
+    return Raster(building, block, (first[0] * cell_m, first[1] * cell_m), float(cell_m), density)
+
+
+def _density(x_m: np.ndarray, y_m: np.ndarray) -> float:
+    """Median number of points in the cells of 1 m with points."""
+    cells = np.floor(np.column_stack([x_m, y_m])).astype(np.int64)
+    return float(np.median(np.unique(cells, axis=0, return_counts=True)[1]))
+
+
+def _large(label: np.ndarray, min_cells: float) -> np.ndarray:
+    """The labels, those of too few cells 0, the others numbered from 1."""
+    count = np.bincount(label.ravel())
+    keep = count >= min_cells
+    keep[0] = False
+    return np.where(keep, np.cumsum(keep), 0)[label].astype(np.int32)
+
+
+def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Median height of the points in each cell; cells without points have that of the nearest."""
+    order = np.lexsort((z_m, cell))
+    cells, start, count = np.unique(cell[order], return_index=True, return_counts=True)
+    result = np.full(shape[0] * shape[1], np.nan)
+    result[cells] = z_m[order][start + count // 2]
+    return filled(result.reshape(shape))
+
+
+def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: float) -> np.ndarray:
+    """The buildings: cells of a block that connect without a jump in height; small ones join a neighbour. Large ones
+    are split again at smaller jumps."""
+    first, second = cell_neighbours(block)
+    flat, z_m = block.ravel(), height_m.ravel()
+    is_near = flat[first] + flat[second] > 0
+    first, second = first[is_near], second[is_near]
+    jump_m = np.abs(z_m[first] - z_m[second])
+    label = flat.astype(np.int64)
+    is_large = np.ones(label.max() + 1, bool)
+    least_m = settings.jump_m
+    while True:
+        connects = (label[first] == label[second]) & (label[first] > 0)
+        connects &= ~is_large[label[first]] | (jump_m <= least_m)
+        parts = groups(flat.size, np.column_stack([first[connects], second[connects]]))
+        parts = np.unique(np.where(flat > 0, parts, -1), return_inverse=True)[1]
+        label = _joined(parts, first, second, settings.min_part_m2 / cell_m**2)
+        is_large = np.bincount(label) * cell_m**2 > settings.max_area_m2
+        is_large[0] = False
+        if least_m <= _LEAST_JUMP_M or not is_large.any():
+            return label.reshape(block.shape)
+        least_m = max(least_m / 2, _LEAST_JUMP_M)
+
+
+def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells: float) -> np.ndarray:
+    """The labels (cells,), small parts joined with the neighbour of the longest wall."""
+    count = np.bincount(label).astype(float)
+    a, b = label[first], label[second]
+    differs = a != b
+    pair, length = np.unique(np.sort(np.column_stack([a, b])[differs], axis=1), axis=0, return_counts=True)
+    walls: list[dict[int, int]] = [{} for _ in count]
+    for (low, high), number in zip(pair.tolist(), length.tolist(), strict=True):
+        walls[low][high] = walls[high][low] = number
+    target = np.arange(len(count))
+    # smallest first; a part that grows is seen again in its turn
+    for part in np.argsort(count, kind="stable").tolist():
+        around = {other: number for other, number in walls[part].items() if other}
+        if part == 0 or not around or count[part] >= min_cells:
+            continue
+        longest = max(around, key=lambda other: (around[other], -other))
+        target[target == part] = longest
+        count[longest] += count[part]
+        for other, number in walls[part].items():
+            del walls[other][part]
+            if other != longest:
+                walls[longest][other] = walls[other][longest] = walls[longest].get(other, 0) + number
+    return target[label].astype(np.int32)
+
+
+@dataclass(frozen=True)
+class _Trace:
+    """The edge of a block, and the part of the raster around it."""
+
+    polygon: shapely.Polygon
+    label: np.ndarray
+    origin_m: tuple[float, float]
+
+
+def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
+    """The blocks, in the order of their numbers, with edges along cells of a third of the size: the raster is smoothed
+    first, so that the steps of the raster in edges across it are small."""
+    result = []
+    fine_m = raster.cell_m / _FINER
+    for number, window in enumerate(scipy.ndimage.find_objects(raster.block), start=1):
+        rows, columns = (slice(part.start - 2, part.stop + 2) for part in window)
+        is_block = raster.block[rows, columns] == number
+        label = np.where(is_block, raster.building[rows, columns], 0)
+        origin_m = (
+            raster.origin_m[0] + columns.start * raster.cell_m,
+            raster.origin_m[1] + rows.start * raster.cell_m,
+        )
+        smooth = scipy.ndimage.gaussian_filter(is_block.astype(float), _SMOOTH_CELLS)
+        fine = scipy.ndimage.zoom(smooth, _FINER, order=1, mode="grid-constant", grid_mode=True) >= 0.5
+        traces = _traces(
+            fine.astype(np.int32), Raster(label, label, origin_m, fine_m, 0.0), settings.min_hole_m2
+        )
+        largest = max(traces, key=lambda trace: trace[1].area)[1]
+        result.append(_Trace(largest, label, origin_m))
+    return result
+
+
+def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple[int, shapely.Polygon]]:
+    """(label, polygon along the edges of its cells), in the order of the labels, without small courtyards."""
+    transform = Affine(raster.cell_m, 0, raster.origin_m[0], 0, raster.cell_m, raster.origin_m[1])
+    result = []
+    for shape, value in rasterio.features.shapes(label, mask=label > 0, connectivity=4, transform=transform):
+        exterior, *holes = [shapely.LinearRing(ring) for ring in shape["coordinates"]]
+        holes = [hole for hole in holes if shapely.Polygon(hole).area >= min_hole_m2]
+        result.append((int(value), shapely.Polygon(exterior, holes)))
+    return sorted(result, key=lambda item: (item[0], -item[1].area))
+
+
+def _of_block(trace: _Trace, points: EdgePoints, raster: Raster, settings: Outlines) -> list[shapely.Polygon]:
+    """The outlines of the buildings of a block."""
+    label, cell_m = trace.label, raster.cell_m
+    main_deg = directions(trace.polygon, points.roof_m, cell_m)
+    outline = regularised(trace.polygon, main_deg, points, settings, cell_m)
+    if len(np.unique(label[label > 0])) < 2:
+        return [outline]
+    window = Raster(label, label, trace.origin_m, cell_m, raster.density)
+    parts = _traces(np.ascontiguousarray(label), window, 0)
+    seams = seam_lines([part for _, part in parts], outline, main_deg, settings, cell_m)
+    lines = shapely.union_all([outline.boundary, *seams], grid_size=_GRID_M)
+    faces = shapely.get_parts(shapely.polygonize([lines]))
+    faces = faces[shapely.contains_properly(outline.buffer(_TOLERANCE_M), faces)]
+    return _assembled(faces, label, window, settings.min_part_m2) or [outline]
+
+
+def _assembled(
+    faces: np.ndarray, label: np.ndarray, raster: Raster, min_part_m2: float
+) -> list[shapely.Polygon]:
+    """The faces, joined by the building that has most of their cells; small ones join a neighbour."""
+    row, column = np.nonzero(label)
+    centre: np.ndarray = shapely.points(  # type: ignore[assignment]
+        raster.origin_m[0] + (column + 0.5) * raster.cell_m, raster.origin_m[1] + (row + 0.5) * raster.cell_m
+    )
+    face, cell = shapely.STRtree(centre).query(faces, predicate="contains")
+    values = label[row, column]
+    building = np.full(len(faces), -1)
+    for index in range(len(faces)):
+        labels = values[cell[face == index]]
+        if len(labels):
+            building[index] = np.bincount(labels).argmax()
+    shapes = [shapely.union_all(faces[building == value]) for value in np.unique(building[building >= 0])]
+    parts = [*shapely.get_parts(shapes), *faces[building < 0]] if shapes else []
+    parts.sort(key=lambda part: part.area)
+    # what is too small for a building joins the neighbour with the longest common wall
+    while len(parts) > 1 and parts[0].area < min_part_m2:
+        part = parts.pop(0)
+        wall_m = [part.intersection(other).length for other in parts]
+        longest = int(np.argmax(wall_m))
+        if wall_m[longest] > 0:
+            joined = shapely.union_all([parts[longest], part])
+            if joined.geom_type == "Polygon":
+                parts[longest] = joined
+        parts.sort(key=lambda part: part.area)
+    return parts

@@ -1,0 +1,131 @@
+"""Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings.
+
+Imports are inside, so that the marker is found at once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from p2wss.clouds.reading import Cloud
+    from p2wss.storage.features import Features
+
+_POINTS_PER_M2 = 6.0
+_CRS = "EPSG:2154"
+
+
+def marker(with_scans: bool) -> Path | None:
+    """The file beside the cached code that exists once all of these sources are compiled; None without a cache."""
+    import numba
+    from llvmlite.binding import get_host_cpu_name
+
+    from p2wss.skeleton.compiled import cache_folder
+
+    folder = cache_folder()
+    if folder is None:
+        return None
+    digest = hashlib.blake2b(digest_size=6)
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    computer = platform.python_version(), numba.__version__, get_host_cpu_name()
+    digest.update(repr((computer, with_scans)).encode())
+    return folder / f"warm-up.{digest.hexdigest()}"
+
+
+def warm_product() -> None:
+    """Roofs of planes, the paper's buildings, terrain, and what a network is given, if there is torch."""
+    import pyproj
+    import shapely
+
+    from p2wss.config import Reconstruct
+    from p2wss.data.building import Building
+    from p2wss.data.terrain import Terrain
+    from p2wss.fit import fitting
+    from p2wss.fit.planes.costs import Costs, problem_of
+    from p2wss.fit.settings import PlanePrices
+    from p2wss.mesh.surface import topmost
+    from p2wss.reconstruction.network import with_supposed_roofs
+    from p2wss.reconstruction.outputs import exports
+    from p2wss.reconstruction.outputs.measures import party_wall_areas_m2
+    from p2wss.reconstruction.pipeline import run
+
+    features, cloud = sample()
+    config = Reconstruct(detail="high")
+    results = run(features, cloud, None, "sample", config)
+    run(features, cloud, None, "sample", config.model_copy(update={"roofs": "parametric"}))
+    # only a building of which there are few points
+    house, within = features.geometry[1], shapely.contains_xy(features.geometry[1], cloud.x_m, cloud.y_m)
+    ring = shapely.get_coordinates(house)[:-1]
+    point_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[within]
+    for few in (point_m[::60], point_m[::8]):
+        building = Building("b", "sample", (0.0, 0.0), [ring], few, np.full(len(few), 6, np.uint8), 0.0)
+        fitting.fit(with_supposed_roofs([building]), config)
+    # only roofs with four walls at one place, or with open ground within
+    pair, one = np.zeros((1, 2), np.int64), np.zeros(1)
+    problem = problem_of(
+        np.arange(2), pair[0, :1], one, pair, pair[0, :1], one, np.zeros((1, 2, 2)), np.zeros((1, 3)), one > 0
+    )
+    costs = Costs(problem, PlanePrices(), np.zeros((1, 2)))
+    costs.total_m3(costs.faces(pair[0, :1]))
+    costs.change_m3(pair[0, :1], 0, 0)
+    # only one with a short edge
+    topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
+    # no two of the three touch
+    party_wall_areas_m2([results[0].reconstruction.mesh] * 2)
+    terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
+    exports.block([exports.mesh(result, config) for result in results], terrain, config)
+    assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
+    if find_spec("torch") is not None:
+        from p2wss.nets.batch import thin
+
+        thin(3, 2)
+
+
+def sample() -> tuple[Features, Cloud]:
+    """(clean footprints, their points and ground at 0 m) of a house with a lower annex, a house with a dormer and a
+    flat block around a courtyard."""
+    import pyproj
+    import shapely
+
+    from p2wss.config import Scenes
+    from p2wss.footprints.cleaning import clean_footprints
+    from p2wss.storage.features import Features
+
+    draw = np.random.default_rng(0)
+    house, dormer = shapely.box(0, 0, 13, 8), shapely.box(30, 0, 42, 9)
+    block = shapely.box(60, 0, 84, 20) - shapely.box(68, 7, 76, 13)
+    points, classes = [], []
+    for polygon in (house, dormer, block):
+        x_min, y_min, x_max, y_max = polygon.buffer(1.0).bounds
+        count = int(_POINTS_PER_M2 * (x_max - x_min) * (y_max - y_min))
+        x, y = draw.uniform(x_min, x_max, count), draw.uniform(y_min, y_max, count)
+        inside = shapely.contains_xy(polygon, x, y)
+        if polygon is house:
+            z = np.where(x < 9, 6.0 + 0.84 * np.minimum(y, 8 - y), 3.0)
+        elif polygon is dormer:
+            z = 6.0 + 0.7 * np.minimum(y, 9 - y)
+            z[(x > 34) & (x < 37) & (y > 0.5) & (y < 3.5)] = 9.0
+        else:
+            z = np.full(count, 7.0)
+        z += 0.02 * draw.standard_normal(count)
+        points.append(np.column_stack([x, y, np.where(inside, z, 0.0)]))
+        classes.append(np.where(inside, 6, 2).astype(np.uint8))
+    shapes, ids = (np.array(each, object) for each in ([house, dormer, block], ["a", "b", "c"]))
+    features = Features(shapes, {"building_id": ids}, pyproj.CRS(_CRS))
+    return clean_footprints(features, Scenes()), _cloud(np.concatenate(points), np.concatenate(classes))
+
+
+def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
+    import pyproj
+
+    from p2wss.clouds.reading import Cloud
+
+    x, y, z = np.ascontiguousarray(point_m.T)
+    return Cloud(x, y, z, classification, pyproj.CRS(_CRS))

@@ -1,0 +1,174 @@
+"""Outlines from points alone: known shapes, seams, trees, clouds without classes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pyproj
+import pytest
+import shapely
+from shapely import affinity
+
+from p2wss.clouds.reading import Cloud
+from p2wss.config import Outlines
+from p2wss.reconstruction.points.unclassified import with_classes
+from p2wss.reconstruction.tracing.outlines import outline_features, outlines
+from p2wss.storage.errors import InputError
+
+LAMBERT = pyproj.CRS.from_epsg(2154)
+ORIGIN = np.array([652_000.0, 6_862_000.0])
+L_SHAPE = shapely.Polygon([(0, 0), (20, 0), (20, 8), (8, 8), (8, 18), (0, 18)])
+BUILDING, GROUND, TREE = 6, 2, 5
+
+
+def scene(
+    *roofs: tuple[shapely.Polygon, float], tree: shapely.Polygon | None = None, angle_deg: float = 0.0
+) -> Cloud:
+    """15 points per m2 over flat roofs (polygon, z) and on the ground at 2 m around, turned by an angle."""
+    draw = np.random.default_rng(3)
+    x_min, y_min, x_max, y_max = shapely.union_all([roof for roof, _ in roofs]).buffer(8).bounds
+    count = int(15 * (x_max - x_min) * (y_max - y_min))
+    xy_m = draw.uniform([x_min, y_min], [x_max, y_max], (count, 2))
+    z_m = 2 + draw.normal(0, 0.03, count)
+    classes = np.full(count, GROUND, np.uint8)
+    if tree is not None:
+        inside = shapely.contains_xy(tree, *xy_m.T)
+        z_m[inside] = draw.uniform(4, 11, inside.sum())
+        classes[inside] = TREE
+    for roof, height_m in roofs:
+        inside = shapely.contains_xy(roof, *xy_m.T)
+        z_m[inside] = height_m + draw.normal(0, 0.03, inside.sum())
+        classes[inside] = BUILDING
+    turn = np.radians(angle_deg)
+    matrix = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    x_m, y_m = (xy_m @ matrix + ORIGIN).T
+    return Cloud(x_m, y_m, z_m, classes, LAMBERT)
+
+
+def placed(shape: shapely.Polygon, angle_deg: float = 0.0) -> shapely.Polygon:
+    return affinity.translate(affinity.rotate(shape, angle_deg, origin=(0, 0)), *ORIGIN)
+
+
+def corner_errors_m(outline: shapely.Polygon, truth: shapely.Polygon) -> np.ndarray:
+    """Distance of each true corner to the nearest vertex."""
+    vertex = shapely.MultiPoint(outline.exterior.coords)
+    return np.array([vertex.distance(shapely.Point(xy)) for xy in truth.exterior.coords])
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 33.0, 45.0])
+def test_outline_of_an_l_shape(angle_deg: float) -> None:
+    (outline,) = outlines(scene((L_SHAPE, 8.0), angle_deg=angle_deg), Outlines(overhang_m=0))
+    truth = placed(L_SHAPE, angle_deg)
+    assert len(outline.exterior.coords) - 1 == 6
+    assert corner_errors_m(outline, truth).max() <= 0.25
+    assert outline.intersection(truth).area / outline.union(truth).area >= 0.96
+
+
+@pytest.mark.parametrize("angle_deg", [12.0, 17.0, 74.0])
+def test_a_small_house_stands_as_its_points_do(angle_deg: float) -> None:
+    """Along edges of few cells a trace follows the raster."""
+    cloud = scene((shapely.box(0, 0, 5.5, 5), 6.0), angle_deg=angle_deg)
+    (outline,) = outlines(cloud, Outlines(overhang_m=0, cell_m=0.7))
+    truth = placed(shapely.box(0, 0, 5.5, 5), angle_deg)
+    assert len(outline.exterior.coords) - 1 == 4
+    assert corner_errors_m(outline, truth).max() <= 0.3
+
+
+def test_courtyards_stay() -> None:
+    court = shapely.box(6, 6, 14, 13)
+    (outline,) = outlines(scene((shapely.box(0, 0, 20, 20) - court, 8.0), angle_deg=20.0), Outlines())
+    assert len(outline.interiors) == 1
+    hole = shapely.Polygon(outline.interiors[0])
+    truth = placed(court, 20.0)
+    assert len(hole.exterior.coords) - 1 == 4
+    assert hole.intersection(truth).area / hole.union(truth).area >= 0.9
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 28.0])
+def test_houses_of_different_height_are_apart(angle_deg: float) -> None:
+    low, high = shapely.box(0, 0, 9, 10), shapely.box(9, 0, 20, 10)
+    shapes = outlines(scene((low, 6.0), (high, 10.0), angle_deg=angle_deg), Outlines())
+    assert len(shapes) == 2
+    for truth in (placed(low, angle_deg), placed(high, angle_deg)):
+        assert max(shape.intersection(truth).area / shape.union(truth).area for shape in shapes) >= 0.93
+    # the wall that they share is the same to the bit
+    assert shapes[0].intersection(shapes[1]).length == pytest.approx(10, abs=0.5)
+    assert shapely.coverage_is_valid(shapes)
+
+
+def test_houses_of_one_height_are_one() -> None:
+    cloud = scene((shapely.box(0, 0, 9, 10), 6.0), (shapely.box(9, 0, 20, 10), 7.0))
+    assert len(outlines(cloud, Outlines(max_area_m2=1000))) == 1
+    assert len(outlines(cloud, Outlines(jump_m=0.5))) == 2
+
+
+def test_large_buildings_are_split_at_smaller_jumps() -> None:
+    # 1 m: less than the jump, more than half of it
+    cloud = scene((shapely.box(0, 0, 9, 10), 6.0), (shapely.box(9, 0, 20, 10), 7.0))
+    assert len(outlines(cloud, Outlines(max_area_m2=190))) == 2
+    assert len(outlines(cloud, Outlines(max_area_m2=220))) == 1
+
+
+@pytest.mark.parametrize("is_classified", [True, False])
+def test_a_tree_beside_is_not_of_the_building(is_classified: bool) -> None:
+    tree = shapely.Point(23, 4).buffer(3.5)
+    cloud = scene((L_SHAPE, 8.0), tree=tree)
+    if not is_classified:
+        cloud = replace(cloud, classification=np.where(cloud.classification == TREE, 1, cloud.classification))
+    (outline,) = outlines(cloud, Outlines())
+    assert corner_errors_m(outline, placed(L_SHAPE)).max() <= 0.25
+
+
+def test_a_cloud_without_classes() -> None:
+    cloud = scene((L_SHAPE, 8.0), tree=shapely.Point(32, 4).buffer(3.5))
+    cloud, warnings = with_classes(replace(cloud, classification=np.ones(len(cloud), np.uint8)))
+    assert len(warnings) == 2
+    shapes = outlines(cloud, Outlines())
+    truth = placed(L_SHAPE)
+    best = max(shapes, key=lambda shape: shape.intersection(truth).area)
+    assert best.intersection(truth).area / best.union(truth).area >= 0.93
+
+
+def test_the_order_of_points_does_not_matter() -> None:
+    cloud = scene((L_SHAPE, 6.0), (shapely.box(20, 0, 30, 8), 10.0), angle_deg=12.0)
+    order = np.random.default_rng(1).permutation(len(cloud))
+    shuffled = replace(
+        cloud,
+        x_m=cloud.x_m[order],
+        y_m=cloud.y_m[order],
+        z_m=cloud.z_m[order],
+        classification=cloud.classification[order],
+    )
+    first, second = (
+        outline_features(cloud, Outlines(), LAMBERT),
+        outline_features(shuffled, Outlines(), LAMBERT),
+    )
+    assert first["building_id"].tolist() == ["1", "2"]
+    assert shapely.to_wkb(first.geometry).tolist() == shapely.to_wkb(second.geometry).tolist()
+
+
+def test_clouds_without_outlines() -> None:
+    cloud = scene((L_SHAPE, 8.0))
+    empty = Cloud(*[np.zeros(0)] * 3, np.zeros(0, np.uint8), LAMBERT)
+    with pytest.raises(InputError, match="has no points"):
+        outlines(empty, Outlines())
+    with pytest.raises(InputError, match="class 6"):
+        outlines(replace(cloud, classification=np.full(len(cloud), 2, np.uint8)), Outlines())
+    with pytest.raises(InputError, match="no building has at least 1000 m2"):
+        outlines(cloud, Outlines(min_area_m2=1000))
+
+
+def test_free_edges_stand_inside_the_edge_of_the_roof() -> None:
+    court = shapely.box(6, 6, 14, 13)
+    cloud = scene((shapely.box(0, 0, 20, 20) - court, 8.0), angle_deg=20.0)
+    (roof,), (walls,) = outlines(cloud, Outlines(overhang_m=0)), outlines(cloud, Outlines(overhang_m=0.4))
+    for ring, sign in ((0, -1), (1, 1)):
+        outer, inner = (shapely.Polygon(shapely.get_rings(shape)[ring]) for shape in (roof, walls))
+        expected = outer.buffer(sign * 0.4, join_style="mitre")
+        assert expected.symmetric_difference(inner).area < 0.02 * outer.length
+    # the walls between the buildings of a block are none
+    low, high = shapely.box(0, 0, 9, 10), shapely.box(9, 0, 20, 10)
+    first, second = outlines(scene((low, 6.0), (high, 10.0)), Outlines(overhang_m=0.4))
+    assert first.intersection(second).length == pytest.approx(9.2, abs=0.5)
+    assert first.union(second).area == pytest.approx((20 - 0.8) * (10 - 0.8), rel=0.03)
