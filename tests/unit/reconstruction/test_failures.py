@@ -126,18 +126,18 @@ def of_buildings(*arguments: Any) -> bool:
 
 
 BY_BUILDINGS: dict[str, Callable[..., bool]] = {
-    "reconstruct.pipeline.crop_cloud": lambda cloud, polygons, buffer_m: is_there(polygons.xy_m[:, 0]),
-    "reconstruct.pipeline.roofs_around": lambda cloud, polygons, crops: is_there(polygons.xy_m[:, 0]),
-    "reconstruct.pipeline.ground_of": lambda cloud, crops, polygons, dtm: is_there(polygons.xy_m[:, 0]),
-    "reconstruct.pipeline._dates": lambda cloud, point: is_there(cloud.x_m[point][:1]),
-    "reconstruct.pipeline.with_own_classes": lambda building: building.building_id == "victim",
-    "reconstruct.product.with_supposed_roofs": of_buildings,
+    "reconstruction.pipeline.crop_cloud": lambda cloud, polygons, buffer_m: is_there(polygons.xy_m[:, 0]),
+    "reconstruction.pipeline.roofs_around": lambda cloud, polygons, crops: is_there(polygons.xy_m[:, 0]),
+    "reconstruction.pipeline.ground_of": lambda cloud, crops, polygons, dtm: is_there(polygons.xy_m[:, 0]),
+    "reconstruction.pipeline._dates": lambda cloud, point: is_there(cloud.x_m[point][:1]),
+    "reconstruction.pipeline.with_own_classes": lambda building: building.building_id == "victim",
+    "reconstruction.product.with_supposed_roofs": of_buildings,
     "fit.fitting.fit": lambda buildings, *more: of_buildings(buildings),
     "fit.fitting.prepare": lambda task: task.building.building_id == "victim",
-    "reconstruct.valid._on_footprint": lambda row: row.building_id == "victim" and row.status == "ok",
-    "reconstruct.result.measure": lambda mesh: is_there(mesh.vertex_m[:, 0]),
-    "reconstruct.pipeline.result_of": lambda row, *more: row.building.building_id == "victim",
-    "reconstruct.pipeline.attributes": lambda result: result.reconstruction.building_id == "victim",
+    "reconstruction.valid._on_footprint": lambda row: row.building_id == "victim" and row.status == "ok",
+    "reconstruction.result.measure": lambda mesh: is_there(mesh.vertex_m[:, 0]),
+    "reconstruction.pipeline.result_of": lambda row, *more: row.building.building_id == "victim",
+    "reconstruction.pipeline.attributes": lambda result: result.reconstruction.building_id == "victim",
 }
 # where these fail, a flat roof would, too
 WITHOUT_ROOF = ("crop_cloud", "roofs_around", "ground_of", "_dates", "measure", "result_of", "attributes")
@@ -177,7 +177,7 @@ def test_without_a_flat_roof_either_there_is_none(
     plant: Plant, town: Path, plain: dict[str, str], tmp_path: Path
 ) -> None:
     plant("fit.fitting.fit", BY_BUILDINGS["fit.fitting.fit"], fails())
-    plant("reconstruct.product.with_fallback", lambda rows, *more: len(rows) > 0, fails())
+    plant("reconstruction.product.with_fallback", lambda rows, *more: len(rows) > 0, fails())
     assert run(town, tmp_path) == 0
     assert status_of(rows_of(tmp_path)["victim"]) == ("none", "internal-error")
 
@@ -249,33 +249,33 @@ OF_BLOCKS: dict[str, tuple[Callable[..., bool], str, tuple[str, ...]]] = {
         "cleaning of victim",
         (),
     ),
-    "reconstruct.registration.search_shift": (
+    "reconstruction.registration.register.search_shift": (
         lambda edge, xy_m, weight: is_there(edge[:, 0]),
         "registration of the block of victim",
         (),
     ),
-    "reconstruct.registration.solve_shift": (
+    "reconstruction.registration.register.solve_shift": (
         lambda edge, step_m, shift_m: is_there(edge[:, 0]),
         "registration of the block of victim",
         (),
     ),
-    "reconstruct.skin._skin": (
+    "reconstruction.skin._skin": (
         lambda names, *more: "row1" in names,
         "skin of the block of row1",
         ("--skin",),
     ),
-    "reconstruct.block_skins.skins": (lambda *more: True, "skins", ("--skin",)),
-    "reconstruct.block_skins.wedges": (
+    "reconstruction.skin.block_skins.skins": (lambda *more: True, "skins", ("--skin",)),
+    "reconstruction.skin.block_skins.wedges": (
         lambda skin: "victim" in skin.building_ids,
         "wedges of the skin of victim",
         ("--wedges",),
     ),
-    "reconstruct.vegetation._plants": (
+    "reconstruction.outputs.vegetation._plants": (
         lambda *more: True,
         f"vegetation around {EAST - EAST % 256:.0f} {NORTH - NORTH % 256:.0f}",
         ("--vegetation",),
     ),
-    "reconstruct.pipeline.party_wall_areas_m2": (lambda *more: True, "areas of party walls", ()),
+    "reconstruction.pipeline.party_wall_areas_m2": (lambda *more: True, "areas of party walls", ()),
 }
 
 
@@ -298,7 +298,7 @@ def test_an_error_at_a_block_leaves_what_was_there(
 
 
 def test_a_registration_that_fails_as_a_whole(plant: Plant, town: Path, tmp_path: Path) -> None:
-    plant("reconstruct.area.register", lambda *more: True, fails())
+    plant("reconstruction.area.register", lambda *more: True, fails())
     assert run(town, tmp_path) == 0
     assert {status_of(row)[0] for row in rows_of(tmp_path).values()} == {"ok"}
     assert content(tmp_path)["errors"] == sorted(f"registration of {each}" for each in IDS)
@@ -309,7 +309,7 @@ def test_a_footprint_that_cannot_even_be_split(
 ) -> None:
     is_victim = lambda features, *more: is_there(shapely.bounds(features.geometry)[:, 0])  # noqa: E731
     plant("footprints.cleaning.split_parts", is_victim, fails())
-    plant("reconstruct.area.repaired", lambda shapes: is_there(shapely.bounds(shapes)[:, 0]), fails())
+    plant("reconstruction.area.repaired", lambda shapes: is_there(shapely.bounds(shapes)[:, 0]), fails())
     assert run(town, tmp_path) == 0
     rows = rows_of(tmp_path)
     assert status_of(rows.pop("victim")) == ("none", "internal-error")
@@ -319,7 +319,7 @@ def test_a_footprint_that_cannot_even_be_split(
 def test_a_file_that_cannot_be_made_is_missing(
     plant: Plant, town: Path, plain: dict[str, str], tmp_path: Path
 ) -> None:
-    plant("reconstruct.exports.page_of_run", lambda *more: True, fails())
+    plant("reconstruction.outputs.exports.page_of_run", lambda *more: True, fails())
     assert run(town, tmp_path, "--format", "cityjsonseq,report,gpkg") == 1
     files = content(tmp_path)["files"]
     assert files == ["cloud.city.jsonl", "cloud.gpkg", "cloud.errors.log"]
