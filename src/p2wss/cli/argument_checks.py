@@ -29,7 +29,7 @@ def check(
 
 
 def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
-    check_folder(out)
+    check_out(out, config)
     outputs = config.reconstruct.outputs
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
@@ -45,8 +45,11 @@ def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
             log.warning("warning: --%s has no effect on files: none of %s is a mesh format", name, names)
 
 
-def check_folder(out: Path) -> None:
-    """Raise :class:`InputError` if ``out`` is not a folder, or no file can be written there."""
+def check_out(out: Path, config: Config) -> None:
+    """Raise :class:`InputError` if ``out`` is not a folder, or no file can be written there, ``ModuleNotFoundError``
+    for a format that needs a package that is missing."""
+    if config.reconstruct.writes_parquet:
+        import pyarrow.parquet  # noqa: F401
     folder = existing_folder(out)
     if not folder.is_dir():
         raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")

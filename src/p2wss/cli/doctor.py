@@ -16,6 +16,7 @@ from p2wss.storage.arguments import EXTRAS
 
 # programs and packages: without them
 COSTS = {
+    "pyarrow": "no Parquet files: GeoParquet, wedges, those between the stages of the workflow",
     "torch": "no parametric roofs from the network, no training",
     "filelock": "no training",
     "embreex": "no simulated surveys",

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from p2wss.data.manifest import read_manifest
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of
@@ -40,6 +39,8 @@ def check(path: Path) -> Facts:
             result = INTACT
             content = files.read_json(path) if path.suffix == ".json" else None
             if isinstance(content, dict) and content.get("shards"):
+                from p2wss.data.manifest import read_manifest
+
                 for shard in read_manifest(path).shards:
                     shard.verified()
             elif isinstance(content, dict) and isinstance(content.get("sha256"), dict):

@@ -103,7 +103,7 @@ def scene(
     print(plan.format_estimates(config, estimates), flush=True)
     if dry_run:
         return 0
-    argument_checks.check_folder(out)
+    argument_checks.check_out(out, config)
     start = time.monotonic()
     data = fetch_area(bounds, crs, out / "data", config)
     with p2wss.reconstruct(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -124,14 +124,6 @@ class Outlines(Section):
 class Reconstruct(Section):
     """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
-    neutral: ClassVar = {
-        "max_triangles": None,
-        "max_failed_fraction": 0.2,
-        "strict": False,
-        "footprint_layer": "",
-        "height_unit": "",
-        "terrain_unit": "",
-    }
     footprint_schema: SchemaName = Field(
         "auto",
         description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
@@ -280,3 +272,8 @@ class Reconstruct(Section):
     strict: bool = Field(
         False, description="stop at the first internal error, which otherwise is that of one building only"
     )
+
+    @property
+    def writes_parquet(self) -> bool:
+        """Whether a file is written that needs the extra ``parquet``."""
+        return self.wedges or "geoparquet" in self.outputs

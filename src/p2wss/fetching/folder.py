@@ -10,7 +10,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import pyogrio
 import pyproj
 import rasterio
@@ -130,6 +129,8 @@ def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
     Of a file with the bounding boxes in a covering column, as IGN's files are, only the row groups that intersect
     them are read.
     """
+    import pyarrow.parquet as pq
+
     empty = BytesIO()
     pq.write_table(pq.read_schema(path).empty_table(), empty)
     window = _window(path, bounds, crs, gpd.read_parquet(empty).crs)

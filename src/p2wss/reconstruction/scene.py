@@ -249,6 +249,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             settings = settings.model_copy(update={"outputs": checked})
         folder, name = Path(folder), name or self.name
         files.check_stem(name)
+        if settings.writes_parquet:  # or no file is
+            import pyarrow.parquet  # noqa: F401
         if self._run is not None:
             run = self._run
             terrain = run.inputs.terrain and run.inputs.terrain[0]

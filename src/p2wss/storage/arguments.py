@@ -19,6 +19,7 @@ from p2wss.storage.errors import InputError
 
 # packages that only some functions need, and the extras of pyproject.toml that bring them
 EXTRAS = {
+    "pyarrow": "parquet",
     "torch": "network",
     "filelock": "network",
     "embreex": "scan",
@@ -40,7 +41,8 @@ def missing_extra(error: ModuleNotFoundError) -> InputError:
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
-    """The function with its arguments checked by :data:`_CHECKS`: a wrong one raises :class:`InputError`.
+    """The function with its arguments checked by :data:`_CHECKS`: a wrong one raises :class:`InputError`, as does a
+    package that is missing, with the extra to install.
 
     None is right where it is the default.
     """
@@ -61,14 +63,17 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
                     shown = " ".join(repr(value).split())
                     shown = shown if len(shown) < 60 else f"a {type(value).__name__}"
                     raise InputError(f"{name}: state {expected}, not {shown}") from error
-        return function(*bound.args, **bound.kwargs)
+        try:
+            return function(*bound.args, **bound.kwargs)
+        except ModuleNotFoundError as error:
+            raise missing_extra(error) from error
 
     return of_checked
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
     """The function, :func:`checked`, with errors and log lines in words of Python: parameters and settings for
-    options of commands, and the extra to install for a package that is missing."""
+    options of commands."""
     parameters = inspect.signature(function).parameters
     inner = checked(function)
 
@@ -86,8 +91,6 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
         log.addFilter(reword)
         try:
             return inner(*args, **kwargs)
-        except ModuleNotFoundError as error:
-            raise missing_extra(error) from error
         except InputError as error:
             text = _OPTION.sub(word, str(error))
             if text == str(error):

@@ -21,11 +21,11 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
     """Raise whatever error the block raises as an :class:`InputError` that names ``path``.
 
     The block does nothing but read that file, of which libraries raise dozens of kinds of errors if it is damaged.
-    kind: what the file is not, as in "a readable Parquet file".
+    A package that is missing is no fault of the file. kind: what the file is not, as in "a readable Parquet file".
     """
     try:
         yield
-    except InputError:
+    except (InputError, ModuleNotFoundError):
         raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error

@@ -9,13 +9,18 @@ import sys
 import tomllib
 from pathlib import Path
 
+import geopandas as gpd
 import pytest
+import shapely
 from places import ROOT
+from test_api import footprints, gable_points
 
+import p2wss
 from p2wss import cli
 from p2wss.cli import importing
 from p2wss.config.generate import default_yaml, json_schema
 from p2wss.storage.arguments import EXTRAS
+from p2wss.storage.errors import InputError
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
@@ -37,6 +42,53 @@ def test_without_torch_a_network_is_refused_in_one_line(
     monkeypatch.setitem(sys.modules, "torch", None)
     assert cli.main(["model", "--manifest", str(tmp_path / "m"), "--dvae", "d", "--out", "o", *REST]) == 2
     assert capsys.readouterr().err == "p2wss: error: needs torch; type: pip install 'p2wss[network]'\n"
+
+
+def test_without_pyarrow_a_run_with_parquet_ends_before_it_begins(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    cloud, footprints = ROOT / "tests/mini/lidar", ROOT / "tests/mini/bdtopo/BDTOPO_mini.gpkg"
+    run = ["reconstruct", str(cloud), str(footprints), str(tmp_path / "out")]
+    scene = [
+        "scene",
+        "--source",
+        "folder",
+        "--bbox",
+        "653100",
+        "6860700",
+        "653110",
+        "6860710",
+        str(tmp_path / "out"),
+    ]
+    table = tmp_path / "a.parquet"
+    gpd.GeoDataFrame(geometry=[shapely.box(0, 0, 9, 9)], crs=2154).to_parquet(table)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    for words in (
+        [*run, "--format", "glb,geoparquet"],
+        [*run, "--wedges"],
+        [*scene, "--format", "geoparquet"],
+        [*run[:2], str(table), run[3]],
+        ["inspect", str(table)],
+    ):
+        assert cli.main(words) == 2
+        end = capsys.readouterr().err.splitlines()[-1]
+        assert end == "p2wss: error: needs pyarrow; type: pip install 'p2wss[parquet]'", words
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_in_python_needs_pyarrow_for_parquet_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    run = {"crs": "EPSG:2154", "model": "none", "progress": False}
+    scene = p2wss.reconstruct(gable_points(), footprints()[:1], **run)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(InputError, match=r"needs pyarrow; type: pip install 'p2wss\[parquet\]'"):
+        scene.write(tmp_path, ["glb", "geoparquet"])
+    assert list(tmp_path.iterdir()) == []
+    scene.write(tmp_path, ["cityjson", "gpkg", "glb", "report"])
+    assert len(list(tmp_path.iterdir())) > 4
 
 
 REST = ["--checkpoints", "c", "--out-metrics", "m"]
