@@ -5,7 +5,7 @@ imports no slow modules, because the Snakefile imports it at every start.
 """
 
 from p2wss.config.ablation import Ablation
-from p2wss.config.base import IDENTITY, Section
+from p2wss.config.base import Section
 from p2wss.config.buildings import Buildings
 from p2wss.config.crops import Crops
 from p2wss.config.dataset import Dataset, Member
@@ -42,7 +42,6 @@ __all__ = [
     "ALL",
     "CLASSES_ALONE",
     "ERRORS_SUFFIX",
-    "IDENTITY",
     "IGN",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",

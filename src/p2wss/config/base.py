@@ -3,22 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializationInfo,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
-
-# context in which a section is dumped to tell whether two of them have the same result
-IDENTITY = "identity"
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -27,16 +14,6 @@ class Section(BaseModel):
     """Base class of all sections: unknown keys are errors, and instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    # default values of keys with which a result is what it was before there was such a key: these rerun nothing
-    neutral: ClassVar[Mapping[str, Any]] = {}
-
-    @model_serializer(mode="wrap")
-    def _dumped(self, dump: SerializerFunctionWrapHandler, info: SerializationInfo) -> dict[str, Any]:
-        values: dict[str, Any] = dump(self)
-        neutral = self.neutral if info.context == IDENTITY else {}
-        return {
-            name: value for name, value in values.items() if name not in neutral or value != neutral[name]
-        }
 
 
 class Shares(Section):

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from p2wss.config.base import IDENTITY, merge
+from p2wss.config.base import merge
 from p2wss.config.sections import Config
 from p2wss.storage.errors import InputError, reading
 
@@ -58,10 +58,7 @@ def section_json(config: Config, *names: str, without: Collection[str] = ()) -> 
         for name in outer:
             level = level.setdefault(name, {})
         level[last] = True
-    sections = {
-        name: getattr(config, name).model_dump(mode="json", exclude=exclude, context=IDENTITY)
-        for name in names
-    }
+    sections = {name: getattr(config, name).model_dump(mode="json", exclude=exclude) for name in names}
     return json.dumps(sections, sort_keys=True)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,7 +13,6 @@ from p2wss.config.training import Compute, Optimiser
 class Masking(Section):
     """What is masked during training, for the model to predict. The paper: random tokens only (share not stated)."""
 
-    neutral: ClassVar = {"disturbed_share": 0.0, "disturbance_m": 2.0}
     inference_share: Share = Field(
         0.8,
         description="share of samples with all digits of height and angles masked, as at inference",
@@ -43,7 +42,6 @@ class Masking(Section):
 class Augmentation(Section):
     """Random changes of each training sample, in addition to the paper's rotation."""
 
-    neutral: ClassVar = {"on_building_share": 0.0}
     scale: tuple[float, float] = Field(
         (0.8, 1.25), description="range of the scale applied to the whole building; [1, 1] = off"
     )
@@ -66,8 +64,6 @@ class Augmentation(Section):
 class LossWeights(Section):
     """Weights of the losses in the total. The paper has four: 1, 1, 1, 1."""
 
-    neutral: ClassVar = {"number": 0.1}
-
     cloud: float = Field(0.3, ge=0, description="weight of predicting masked patches")
     sequence: float = Field(1.0, ge=0, description="weight of predicting masked parameter tokens")
     number: float = Field(
@@ -82,8 +78,6 @@ class LossWeights(Section):
 class Decoding(Section):
     """How the probabilities of digits are turned into values. The paper: argmax, all, 1, 0."""
 
-    # trainings do not depend on it
-    neutral: ClassVar = {"num_refinements": 1}
     mode: Literal["argmax", "median"] = Field(
         "median",
         description="argmax = the most likely digit at each position; median = the median of the joint "
@@ -113,7 +107,6 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
-    neutral: ClassVar = {"similar_lengths": True, "dvae_start": True, "start": ""}
     weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
     start: str = Field("", description="file with trained weights to start from; '' = from random weights")
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -12,7 +12,6 @@ from p2wss.config.base import Section, Share
 class Optimiser(Section):
     """AdamW with a cosine warm-up and a cosine decay of the learning rate, or a constant rate between ramps."""
 
-    neutral: ClassVar = {"ramp_steps": 0}
     num_steps: int = Field(200, ge=1, description="number of training steps (batches)")
     batch_size: int = Field(64, ge=2, le=65536, description="number of buildings per batch")
     learning_rate: float = Field(2e-3, gt=0, description="peak learning rate, after the warm-up")
@@ -39,7 +38,6 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 class Compute(Section):
     """Where and how training runs; it affects results only by rounding."""
 
-    neutral: ClassVar = {"compile": False}
     device: DeviceName = Field("auto", description="where to train; auto = a GPU if there is one")
     num_gpus: int = Field(
         1,

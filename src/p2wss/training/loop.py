@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from p2wss.config import IDENTITY, Optimiser, Section
+from p2wss.config import Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
@@ -119,7 +119,7 @@ def training_config(config: Section) -> dict[str, Any]:
         "optimiser": {"num_steps", "ramp_steps"},
         **dict.fromkeys(("checkpoint_every_steps", "decoding", "num_validation", "start"), True),
     }
-    return config.model_dump(mode="json", exclude=exclude, context=IDENTITY)
+    return config.model_dump(mode="json", exclude=exclude)
 
 
 def _take_step(task: Task, state: TrainingState, plan: Plan, step: int, loaded: Any) -> dict[str, Tensor]:

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 import yaml
@@ -13,7 +12,6 @@ from p2wss import config
 from p2wss.config import Config, Section
 from p2wss.config.generate import default_yaml
 from p2wss.storage.errors import InputError
-from p2wss.training.loop import training_config
 
 
 def test_generated_files_are_up_to_date():
@@ -47,31 +45,6 @@ def test_sections_survive_a_round_trip_as_json():
     settings = config.load({"region": {"name": "elsewhere"}})
     text = config.section_json(settings, "region", "scans")
     assert "\n" not in text and config.load(text).region == settings.region
-
-
-def test_a_new_key_at_its_neutral_value_reruns_nothing() -> None:
-    """Parameters of rules and the identity of a training are without it, until it has another value."""
-    for value, is_stated in ((True, False), (False, True)):
-        settings = config.load({"model": {"similar_lengths": value}})
-        assert ("similar_lengths" in config.section_json(settings, "model")) is is_stated
-        assert ("similar_lengths" in training_config(settings.model)) is is_stated
-        assert settings.model_dump()["model"]["similar_lengths"] is value
-
-
-def test_neutral_values_are_defaults() -> None:
-    """What is left out of a rule's parameters has to be what the command takes in its absence."""
-
-    def sections(model: type[Section]) -> Iterator[type[Section]]:
-        yield model
-        for each in model.__subclasses__():
-            yield from sections(each)
-
-    stated = [
-        (each.model_fields[key].default, value)
-        for each in sections(Section)
-        for key, value in each.neutral.items()
-    ]
-    assert len(stated) > 5 and all(default == value for default, value in stated)
 
 
 @pytest.mark.parametrize(
