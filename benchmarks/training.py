@@ -29,18 +29,18 @@ from contextlib import closing
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
+from completion import CompletionTask
+from completion_network import RoofCompletion
+from completion_roofs import draw_roofs
 from figures import Figures, cpu_seconds, peak_mib
 
 from p2wss.config import Config, Optimiser, load
 from p2wss.nets import compute
 from p2wss.nets.clues import features_of
-from p2wss.nets.completion import RoofCompletion
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
-from p2wss.training.completion import CompletionTask
 from p2wss.training.dataset import BuildingDataset
-from p2wss.training.drawn_roofs import draw_roofs
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.loop import Task
 from p2wss.training.model import ModelTask
@@ -125,7 +125,7 @@ def houses_per_second() -> dict[str, float]:
 
 
 def completion_steps(device: torch.device, steps: int) -> float:
-    """Seconds of a step of the completion with 1,024 houses, as ``p2wss completion --compile`` takes it."""
+    """Seconds of a step of the completion with 1,024 houses, as ``completion.py --compile`` takes it."""
     roofs = draw_roofs(0, share=0.02)
     task = CompletionTask(RoofCompletion(), roofs, 1024, 0, _NUM_FORKS, is_compiled=True)
     task.module.to(device)

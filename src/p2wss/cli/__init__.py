@@ -50,7 +50,6 @@ COMMANDS = {
         "crops": "crop the points of each building",
         "dvae": "train the discrete VAE that tokenises point patches",
         "model": "train Point2WSS",
-        "completion": "train the network that completes roofs of few points",
         "eval": "evaluate the methods and write the report",
     },
 }

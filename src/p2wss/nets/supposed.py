@@ -1,4 +1,4 @@
-"""The roof that the network of :mod:`p2wss.nets.completion` supposes between few points. Imports no torch."""
+"""The roof that a network supposes between few points, in numpy; ``benchmarks/completion.py`` trains it."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _median(features: Features) -> np.ndarray:
 
 def mixture_of(features: Features, weights: _Weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(z (q, k), slope (k, 2), logit (q, k)) of one building, as
-    :class:`p2wss.nets.completion.RoofCompletion` has them."""
+    ``RoofCompletion`` of ``benchmarks/completion_network.py`` has them."""
     point, is_own, edge, place, is_token, distance, offset, place_distance, axis, z = (
         each[0] for each in features
     )

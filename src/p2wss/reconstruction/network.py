@@ -73,8 +73,8 @@ def reconstruct_with_network(
 
 
 def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
-    """The buildings; those with few points per square metre with the roof that the network of
-    :mod:`p2wss.nets.completion` supposes between them."""
+    """The buildings; those with few points per square metre with the roof that a network supposes between them
+    (:mod:`p2wss.nets.supposed`)."""
     result = []
     for building in buildings:
         roof_m = building.point_m[building.is_on_building]

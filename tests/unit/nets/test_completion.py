@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import shapely
 import torch
+from completion_network import Mixture, RoofCompletion, completion_loss
 
 from p2wss.nets import supposed
 from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_VERTICES, Clues, Features, features_of
-from p2wss.nets.completion import Mixture, RoofCompletion, completion_loss
 from p2wss.nets.supposed import mixture_of, supposed_roof
 
 HOUSE = shapely.box(0, 0, 12, 8)

@@ -1,4 +1,4 @@
-"""Training of the completion: drawn roofs, varied samples, the command."""
+"""Training of the completion: drawn roofs, varied samples, the script."""
 
 from __future__ import annotations
 
@@ -6,20 +6,13 @@ import json
 from contextlib import closing
 from pathlib import Path
 
+import completion
+import completion_roofs
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import load_file
-
-from p2wss import cli
-from p2wss.config.training import Optimiser
-from p2wss.nets import supposed
-from p2wss.nets.clues import MAX_POINTS, MAX_VERTICES, SCALE_M
-from p2wss.nets.completion import RoofCompletion
-from p2wss.storage.errors import InputError
-from p2wss.towns.buildings import Wing
-from p2wss.training import completion, drawn_roofs
-from p2wss.training.drawn_roofs import (
+from completion_network import RoofCompletion
+from completion_roofs import (
     NUM_NEIGHBOURS,
     NUM_SAMPLES,
     DrawnRoofs,
@@ -27,6 +20,13 @@ from p2wss.training.drawn_roofs import (
     draw_batch,
     draw_roofs,
 )
+from safetensors.numpy import load_file
+
+from p2wss.config.training import Optimiser
+from p2wss.nets import supposed
+from p2wss.nets.clues import MAX_POINTS, MAX_VERTICES, SCALE_M
+from p2wss.storage.errors import InputError
+from p2wss.towns.buildings import Wing
 
 # sums of the test below, by the first version
 FORMER = {
@@ -44,8 +44,8 @@ FORMER = {
 
 @pytest.fixture
 def few_towns(monkeypatch: pytest.MonkeyPatch) -> None:
-    kinds = {kind: (draw, 1) for kind, (draw, _) in drawn_roofs.KINDS.items() if kind != "streets"}
-    monkeypatch.setattr(drawn_roofs, "KINDS", kinds)
+    kinds = {kind: (draw, 1) for kind, (draw, _) in completion_roofs.KINDS.items() if kind != "streets"}
+    monkeypatch.setattr(completion_roofs, "KINDS", kinds)
 
 
 @pytest.fixture
@@ -125,12 +125,12 @@ def test_heights_and_slopes_of_a_batch_fit_each_other(roofs: DrawnRoofs) -> None
     assert clues.is_point.sum(axis=1).min() >= 3 and clues.is_point.sum(axis=1).max() <= MAX_POINTS
 
 
-def test_the_command_trains(few_towns: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_script_trains(few_towns: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(completion, "_NUM_VALIDATION", 16)
     out, metrics = tmp_path / "c.safetensors", tmp_path / "m.jsonl"
-    arguments = ["completion", "--out", str(out), "--out-metrics", str(metrics), "--batch-size", "4"]
+    arguments = ["--out", str(out), "--out-metrics", str(metrics), "--batch-size", "4"]
     arguments += ["--checkpoints", str(tmp_path / "checkpoints"), "--num-steps", "4"]
-    assert cli.main(arguments) == 0
+    assert completion.main(arguments) == 0
     records = [json.loads(line) for line in metrics.read_text().splitlines()]
     assert any("loss" in record for record in records)
     assert all(0 < record["val_height_m"] < 10 for record in records if "val_height_m" in record)

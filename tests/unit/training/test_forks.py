@@ -8,8 +8,7 @@ import time
 from contextlib import closing
 
 import pytest
-
-from p2wss.training.forks import Forks
+from completion_forks import Forks
 
 
 def made(step: int) -> tuple[int, int]:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import completion_roofs
 import pytest
 import torch
 import toy_crops
+from completion import CompletionTask
+from completion_network import RoofCompletion
 from small_networks import SMALL_DVAE, SMALL_MODEL
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from p2wss.config import load
-from p2wss.nets.completion import RoofCompletion
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.towns.wings import draw_wings
-from p2wss.training import drawn_roofs
-from p2wss.training.completion import CompletionTask
 from p2wss.training.dataset import BuildingDataset, TrainingLimits
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.loop import Task
@@ -57,8 +57,8 @@ def buildings(tmp_path_factory: pytest.TempPathFactory) -> BuildingDataset:
 
 
 def test_the_completion_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drawn_roofs, "KINDS", {"wings": (draw_wings, 1)})
-    roofs = drawn_roofs.draw_roofs(5)
+    monkeypatch.setattr(completion_roofs, "KINDS", {"wings": (draw_wings, 1)})
+    roofs = completion_roofs.draw_roofs(5)
     assert asked(CompletionTask(RoofCompletion(), roofs, 2, 0)) == []
 
 

@@ -1,28 +1,43 @@
-"""Train the network that completes roofs of few points, on drawn towns."""
+"""Train the network that completes roofs of few points, which comes with p2wss, on drawn towns.
+
+    python benchmarks/completion.py --out completion.safetensors --out-metrics completion.jsonl \\
+        --checkpoints completion-checkpoints --threads 16 --compile
+
+Needs torch, and a GPU for a training to its end; no data: it draws its towns itself. It is no claim, and stands here
+since no run needs it. A training that is interrupted resumes from its checkpoints; one that is finished deletes them.
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from completion_forks import Forks
+from completion_network import RoofCompletion, completion_loss
+from completion_roofs import DrawnRoofs, draw_batch, draw_roofs
 from torch import Tensor, nn
 
+from p2wss.cli.common import write_trained
 from p2wss.config import DeviceName
 from p2wss.config.training import Optimiser
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import compute
 from p2wss.nets.clues import SCALE_M, Clues, features_of
-from p2wss.nets.completion import RoofCompletion, completion_loss
 from p2wss.nets.supposed import KIND
+from p2wss.nets.threads import set_num_threads
 from p2wss.nets.weights import last_validation, write_weights
 from p2wss.storage import files
+from p2wss.storage.log_lines import start
+from p2wss.storage.provenance import fingerprint
 from p2wss.training import loop
-from p2wss.training.drawn_roofs import DrawnRoofs, draw_batch, draw_roofs
-from p2wss.training.forks import Forks
+from p2wss.training.lock import training_lock
 
 _CHECKPOINT_EVERY_STEPS, _NUM_VALIDATION = 500, 512
 # of the buildings drawn, those kept for validation
@@ -133,3 +148,44 @@ def _drawn(roofs: DrawnRoofs, index: np.ndarray, rng: np.random.Generator) -> Sa
     return Sample(*draw_batch(roofs, index, rng)).each(
         lambda each: each if each.dtype == bool else each.astype(np.float32)
     )
+
+
+def main(words: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="safetensors file to write: the weights")
+    parser.add_argument(
+        "--out-metrics", type=Path, required=True, help="JSON lines to write: losses during training"
+    )
+    parser.add_argument("--checkpoints", type=Path, required=True, help="folder for checkpoints")
+    parser.add_argument("--threads", type=int, default=1, help="one trains, the others draw")
+    parser.add_argument("--num-steps", type=int, default=13_000, help="batches to train on")
+    parser.add_argument("--batch-size", type=int, default=1024, help="buildings of a batch")
+    parser.add_argument("--compile", action="store_true", help="faster steps on a GPU")
+    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
+    options = parser.parse_args(words)
+    start([])
+    set_num_threads(options.threads)
+    code = fingerprint("training.loop", "nets", "towns")
+    optimiser = Optimiser(
+        num_steps=options.num_steps,
+        batch_size=options.batch_size,
+        learning_rate=1e-3,
+        ramp_steps=min(options.num_steps // 2, 5000),
+        weight_decay=0.02,
+    )
+    checkpoints = options.checkpoints
+    with training_lock(checkpoints):
+        module = train(
+            optimiser,
+            options.device,
+            checkpoints,
+            code,
+            num_processes=options.threads,
+            is_compiled=options.compile,
+        )
+        write_trained(checkpoints, options.out_metrics, partial(save_completion, module, options.out, code))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,5 +1,7 @@
 """The network that completes a roof of which few points are known: each point and each edge of the footprint states two
-planes, and each place of the roof chooses one of all these. For training; :mod:`p2wss.nets.supposed` needs no torch."""
+planes, and each place of the roof chooses one of all these. :mod:`p2wss.nets.supposed` needs no torch.
+
+Used by completion.py, for training."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the steps of a training need, made ahead of them by other processes."""
+"""What the steps of a training need, made ahead of them by other processes. Used by completion.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Drawn roofs, and what a survey with few points shows of them: the samples from which the completion learns."""
+"""Drawn roofs, and what a survey with few points shows of them: the samples from which the completion learns.
+
+Used by completion.py."""
 
 from __future__ import annotations
 
