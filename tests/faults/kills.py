@@ -246,7 +246,7 @@ def leftovers(folder: Path) -> list[str]:
         for path in sorted((folder / part).rglob("*")):
             name = path.relative_to(folder).as_posix()
             hidden = path.name.startswith(".") and path.name != ".snakemake_timestamp"
-            partial = path.name in ("training.lock", "checkpoints") or path.suffix == ".part"
+            partial = path.name in ("checkpoints.lock", "checkpoints") or path.suffix == ".part"
             if hidden or partial or (part not in ("results", "resources") and path.is_file()):
                 found.append(name)
     return found

@@ -8,7 +8,7 @@ import manifold3d
 import numpy as np
 
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.mesh.simplification import simplified
+from p2wss.fit.planes.solid import simplified
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces

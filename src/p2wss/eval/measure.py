@@ -19,7 +19,6 @@ from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
 from p2wss.eval.metrics.structure import false_and_missing_share
 from p2wss.eval.parameters import parameter_errors
 from p2wss.eval.reconstructions import Key
-from p2wss.eval.roof_kinds import roof_kind
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh, sample_surface
 from p2wss.skeleton.types import FaceKind, Polygons
@@ -31,6 +30,9 @@ PLANAR_M = 0.01
 # from the footprint's edges: nearer points may be on a wall, where a height over the roof means nothing
 INNER_M = 0.5
 _ROOF = (FaceKind.ROOF, FaceKind.FLAT)
+SEVERAL_HEIGHTS = "several heights"
+# slopes whose directions differ by at most this angle make a shed
+_SHED_COSINE = np.cos(np.radians(30.0))
 
 
 def measure(
@@ -123,3 +125,28 @@ def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:
         return point_m
     draw = generator(config.seed, "eval.subset", case.building.tile, case.building.building_id)
     return point_m[np.sort(draw.choice(len(point_m), config.max_num_points, replace=False))]
+
+
+def roof_kind(rings: Sequence[np.ndarray], angle_deg: np.ndarray, num_parts: int = 1) -> str:
+    """The kind of a roof from the angles of its edges, for real buildings, which have no label: flat, shed, gable, hip, mixed, or :data:`SEVERAL_HEIGHTS`. rings: each (n, 2); angle_deg: one value per edge.
+
+    flat: no slope at all. hip: a slope at every edge. gable: only slopes and gables (90 degrees). shed: the same, but
+    all slopes face the same way. mixed: slopes and flat edges.
+
+    >>> square = [np.array([[0.0, 0], [9, 0], [9, 9], [0, 9]])]
+    >>> [roof_kind(square, np.array(a)) for a in ([40, 90, 40, 90], [40, 90, 90, 90], [40, 40, 40, 40])]
+    ['gable', 'shed', 'hip']
+    """
+    if num_parts > 1:
+        return SEVERAL_HEIGHTS
+    angle = np.asarray(angle_deg, float)
+    slope = (angle > 0) & (angle < 90)
+    if not slope.any():
+        return "flat"
+    if slope.all():
+        return "hip"
+    if (angle == 0).any():
+        return "mixed"
+    along = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])[slope]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    return "shed" if (along @ along.T).min() >= _SHED_COSINE else "gable"

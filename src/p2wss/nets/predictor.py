@@ -61,10 +61,6 @@ class Point2WssPredictor:
         self.on_building = module.config.augmentation.on_building_share > 0
         self._rows_per_pass = 1 if self.device.type == "cpu" else GPU_ROWS
 
-    def with_num_views(self, num_views: int) -> Point2WssPredictor:
-        """The same network with ``num_views`` views of each building, whose probabilities are averaged."""
-        return Point2WssPredictor(self.module, num_views)
-
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         """Heights and angles from clouds (n, 3), z above the ground, and the rings of their footprints.
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
 import laspy
+import lazrs
 
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
-from p2wss.storage.las_unchunked import UNCHUNKED, in_one_chunk
 
 # the phrase of messages
 KIND = "a readable LAS, LAZ or COPC file, or truncated"
@@ -21,6 +23,8 @@ _MIN_HEADER, _HEADER_1_4 = 227, 375
 _VLR_HEADER, _EVLR_HEADER = 54, 60
 # of LAZ, ASPRS' registered user id and record id
 _LASZIP = (b"laszip encoded", 22204)
+# compressors of LASzip: all points in one stream, and in chunks
+_UNCHUNKED, _CHUNKED = 1, 2
 # of points that are decoded together
 _MAX_CHUNK_POINTS = 50_000_000
 
@@ -39,7 +43,7 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
         # one after the other: in parallel, a chunk is in memory as a whole
         options["laz_backend"] = laspy.LazBackend.Lazrs
         with (
-            in_one_chunk(path, *unchunked) as source,
+            _in_one_chunk(path, *unchunked) as source,
             laspy.open(source, closefd=False, **options) as reader,
         ):
             yield reader
@@ -51,7 +55,7 @@ def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float]:
 
 
 def check_header(path: str | Path) -> tuple[int, int, int] | None:
-    """The arguments of :func:`in_one_chunk` for a file of compressed points without chunks; None for others.
+    """The arguments of :func:`_in_one_chunk` for a file of compressed points without chunks; None for others.
 
     Raises ValueError for a header whose counts and offsets do not fit into the file (LAS specification 1.4-R15).
     """
@@ -98,7 +102,7 @@ def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: in
         content = file.read(length)
         if (user.rstrip(b"\0"), number) == _LASZIP and len(content) >= 16:
             compressor, chunk_points = struct.unpack_from("<H10xI", content)
-            if compressor == UNCHUNKED:
+            if compressor == _UNCHUNKED:
                 (num_items,) = struct.unpack_from("<H", content.ljust(34, b"\0"), 32)
                 versions = [
                     version for _, _, version in struct.iter_unpack("<HHH", content[34:][: 6 * num_items])
@@ -129,3 +133,25 @@ def _exactly(file: BinaryIO, count: int) -> bytes:
     if len(content) < count:
         raise ValueError("it is truncated")
     return content
+
+
+@contextmanager
+def _in_one_chunk(path: str | Path, points_at: int, record_at: int, num_points: int) -> Iterator[IO[bytes]]:
+    """A temporary copy of a file whose points are one stream without chunks (LASzip 1.2r0 and before), with what makes
+    it a file of one chunk. The stream is the same in both (LAZ specification 1.4); files of chunks have the position of
+    a table before it, and the table behind it.
+
+    points_at: offset of the stream. record_at: of the content of LASzip's record in the file. num_points: of the file.
+    """
+    end = Path(path).stat().st_size
+    with open(path, "rb") as file, tempfile.TemporaryFile() as copy:
+        head = bytearray(file.read(points_at))
+        struct.pack_into("<H", head, record_at, _CHUNKED)
+        struct.pack_into("<I", head, record_at + 12, num_points)
+        (length,) = struct.unpack_from("<H", head, record_at - 34)
+        copy.write(bytes(head) + struct.pack("<q", end + 8))
+        shutil.copyfileobj(file, copy)
+        vlr = lazrs.LazVlr(bytes(head[record_at : record_at + length]))
+        lazrs.write_chunk_table(copy, [(num_points, end - points_at)], vlr)
+        copy.seek(0)
+        yield copy

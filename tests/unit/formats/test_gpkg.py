@@ -16,7 +16,7 @@ import pytest
 import shapely
 
 import p2wss.formats
-from p2wss.formats import gpkg, qgis
+from p2wss.formats import gpkg
 from p2wss.storage.features import Features
 
 STATES = {"a": "ok", "b": "flagged", "c": "flagged", "d": "flat", "e": "none"}
@@ -35,7 +35,7 @@ def features() -> Features:
 
 def test_qgis_finds_the_style_of_the_layer_and_others_the_layers(features: Features, tmp_path: Path) -> None:
     path = tmp_path / "a.gpkg"
-    gpkg.write(path, features, {}, more={"input_footprints": features}, style=qgis.STYLE)
+    gpkg.write(path, features, {}, more={"input_footprints": features}, style=gpkg.STYLE)
     layers = dict(pyogrio.list_layers(path))
     assert layers == {"buildings": "Polygon", "input_footprints": "Polygon", "layer_styles": None}
     assert gpd.read_file(path, layer="buildings")["building_id"].tolist() == [*STATES]
@@ -63,12 +63,12 @@ def test_qgis_finds_the_style_of_the_layer_and_others_the_layers(features: Featu
 def test_the_colours_and_words_are_those_of_the_page() -> None:
     script = (Path(p2wss.formats.__file__).parent / "assets/viewer.js").read_text(encoding="utf-8")
     found = re.findall(r'^    (\w+): \["(#\w+)", "([^"]+)"\],$', script, re.M)
-    assert {state: (color, text) for state, color, text in found} == qgis.STATES
+    assert {state: (color, text) for state, color, text in found} == gpkg.STATES
 
 
 def test_a_style_has_the_same_bytes_whenever_it_is_written(features: Features, tmp_path: Path) -> None:
     for name in ("a.gpkg", "b.gpkg"):
-        gpkg.write(tmp_path / name, features, {}, style=qgis.STYLE)
+        gpkg.write(tmp_path / name, features, {}, style=gpkg.STYLE)
         time.sleep(0.01)
     assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
 

@@ -146,7 +146,8 @@ def values(prediction: Prediction, building: int) -> tuple[bytes, ...]:
 def test_predictions_are_the_same_to_the_bit_in_any_batch_and_on_any_number_of_threads(
     num_views: int, num_buildings: int
 ) -> None:
-    predictor = load_predictor(ROOT / "models/point2wss.safetensors", "cpu").with_num_views(num_views)
+    shipped = load_predictor(ROOT / "models/point2wss.safetensors", "cpu")
+    predictor = Point2WssPredictor(shipped.module, num_views)
     draw = np.random.default_rng(0)
     clouds, rings = [], []
     sizes = zip(draw.integers(4, 17, num_buildings), draw.integers(16, 2000, num_buildings), strict=True)

@@ -15,7 +15,7 @@ from places import ROOT
 
 from p2wss.storage.errors import InputError
 from p2wss.storage.temporary import Scratch
-from p2wss.training.lock import FILE_NAME, training_lock
+from p2wss.training.lock import training_lock
 
 HOLDER = """
 import sys, time
@@ -43,10 +43,11 @@ def test_the_second_training_is_refused_and_a_killed_one_replaced(tmp_path: Path
         finally:
             holder.send_signal(signal.SIGKILL)
             holder.wait()
-    assert (folder / FILE_NAME).exists()
+    assert (tmp_path / "checkpoints.lock").exists()
     with training_lock(folder):
+        folder.mkdir()
         (folder / "step-00000001.pt").touch()
-    assert [path.name for path in folder.iterdir()] == ["step-00000001.pt"]
+    assert [path.name for path in tmp_path.rglob("*")] == ["checkpoints", "step-00000001.pt"]
 
 
 def test_a_training_waits_for_one_that_is_about_to_stop(
@@ -65,8 +66,13 @@ def test_a_training_waits_for_one_that_is_about_to_stop(
 def test_a_folder_with_files_of_others_stays(tmp_path: Path) -> None:
     folder = tmp_path / "checkpoints"
     with training_lock(folder):
-        (folder / "training.lock.of.another").touch()
-    assert [path.name for path in folder.iterdir()] == ["training.lock.of.another"]
+        folder.mkdir()
+        (folder / "of.another").touch()
+    assert [path.name for path in folder.iterdir()] == ["of.another"]
+    (folder / "of.another").unlink()
+    with training_lock(folder):
+        pass
+    assert not folder.exists()
 
 
 def test_no_file_is_unpickled() -> None:
@@ -79,7 +85,7 @@ def test_no_file_is_unpickled() -> None:
         # values that a process keeps for itself, in a file without a name that no other process can open
         assert not imports_pickle or path.name in ("spool.py", "processes.py"), path
     for name, place in (("spool", "*self._place[index]"), ("processes", "place, size")):
-        text = (ROOT / f"src/p2wss/reconstruction/{name}.py").read_text()
+        text = (ROOT / f"src/p2wss/reconstruction/running/{name}.py").read_text()
         assert re.findall(r"pickle\.load\w*\(.*", text) == [
             f"pickle.loads(self._scratch.read({place}))  # nosec B301"
         ]

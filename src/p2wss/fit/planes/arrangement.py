@@ -9,7 +9,6 @@ import numpy as np
 import shapely
 
 from p2wss.fit.directions import edge_ends
-from p2wss.fit.planes.detection import heights
 from p2wss.fit.planes.lines import Line, edges_of, ends_of
 from p2wss.mesh.topology import reverses
 from p2wss.skeleton.compiled import entry
@@ -40,17 +39,6 @@ class Arrangement:
     line: np.ndarray
     lines: Sequence[Line]
     num_edges: int
-
-    def extremes(self, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The least and the greatest height of planes (k, 3) over each cell, each (c, k)."""
-        low_z = np.full((len(self.area_m2), len(plane)), np.inf)
-        high_z = -low_z
-        for beside in self.pair.T:
-            cell, end = beside[beside >= 0], self.side[beside >= 0]
-            height_m = heights(plane, self.xy_m[end.ravel()]).reshape(len(end), 2, len(plane))
-            np.minimum.at(low_z, cell, height_m.min(axis=1))
-            np.maximum.at(high_z, cell, height_m.max(axis=1))
-        return low_z, high_z
 
     def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
         """int (m,), the cell at each place (m, 2), -1 outside."""

@@ -15,12 +15,13 @@ from functools import partial
 import numpy as np
 import shapely
 
-from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.arrangement import GRID_M, Arrangement, nearest_lines
 from p2wss.fit.planes.detection import height_over
 from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
+from p2wss.mesh.booleans import manifold3d
 from p2wss.mesh.faces import simple_rings
+from p2wss.mesh.planar import without_straight_vertices
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.types import writable
@@ -36,6 +37,8 @@ _MEET_M, _MAX_MOVE_M = 0.06, 0.15
 # how much more exactly edges of the footprint, and lines on which planes meet, determine a vertex than steps do
 _FOOTPRINT_WEIGHT, _MEET_WEIGHT, _KEEP_WEIGHT = 100.0, 30.0, 1e-6
 _PARALLEL = 0.03
+# metres: how far a surface may move when slivers are removed
+_SIMPLIFY_M = 2e-3
 
 
 def solid_below(
@@ -292,3 +295,17 @@ class _Network:
                     result.append([left[i], right[j], left[i + 1]])
                     i += 1
         return result
+
+
+def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
+    """A closed mesh (v, 3), (t, 3), some vertices of which may be unused, without the slivers and the vertices within
+    faces and straight edges; None if it is not one solid."""
+    used, index = np.unique(triangle, return_inverse=True)
+    corners = index.reshape(-1, 3).astype(np.uint64)
+    whole = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
+    whole = whole.as_original().simplify(_SIMPLIFY_M)
+    if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
+        return None
+    out = whole.to_mesh64()
+    vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
+    return without_straight_vertices(Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32)))

@@ -17,7 +17,7 @@ from p2wss.config.reconstruct import Output
 from p2wss.data.reasons import DUPLICATE, ELSEWHERE, HAS_PARTS
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import grown
-from p2wss.formats import gpkg, qgis, sionna
+from p2wss.formats import gpkg, sionna
 from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
@@ -186,7 +186,7 @@ def _write_results(
     rows, before = table(results, crs, facts, config.attribute_names), input_footprints(results, crs)
     if output == "gpkg":
         gpkg.write(
-            path, rows, facts, more={} if before is None else {"input_footprints": before}, style=qgis.STYLE
+            path, rows, facts, more={} if before is None else {"input_footprints": before}, style=gpkg.STYLE
         )
         return
     frame = rows.to_frame()
