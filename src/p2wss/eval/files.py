@@ -20,11 +20,12 @@ from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays
+from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
-from p2wss.footprints.schemas import GENERIC, building_ids, schema_of
-from p2wss.footprints.vector_files import read_vector
+from p2wss.footprints.cleaning import read_footprints
+from p2wss.footprints.schemas import GENERIC
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.mesh import Mesh
@@ -33,7 +34,6 @@ from p2wss.reconstruction.inputs import CloudInput, FootprintInput, as_footprint
 from p2wss.reconstruction.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.features import Features
 
 # points up to this distance from the footprint are of the building
 BUFFER_M = 1.0
@@ -109,17 +109,11 @@ def _footprints(
     footprints: FootprintInput, id_field: str | None, crs: pyproj.CRS | None, layer: str
 ) -> gpd.GeoDataFrame:
     """The polygons by id, in the CRS of the clouds if both are known."""
-    footprints = as_footprints(footprints)
-    name = footprints if isinstance(footprints, Path) else "footprints"
-    if isinstance(footprints, Path):
-        features, number = read_vector(footprints, None, layer)
-    else:
-        features, number = Features.of(footprints), footprints.index.to_numpy()
-    names = building_ids(features.columns, number, schema_of(features.columns), id_field, name)
-    frame = features.to_frame()
-    if crs is not None and frame.crs is not None:
-        frame = frame.to_crs(crs)
-    frame = frame.set_index(pd.Index(names, name="building_id"))
+    metric = None if crs is None else MetricCrs(crs, crs)
+    features = read_footprints(
+        as_footprints(footprints), id_field, needs_crs=False, metric=metric, layer=layer
+    )
+    frame = features.to_frame().set_index("building_id")
     return frame[~frame.geometry.is_empty & frame.geom_type.isin(("Polygon", "MultiPolygon"))]
 
 
@@ -200,7 +194,8 @@ def _measures(
 
 
 def _samples(corner_m: np.ndarray, count: int, draw: np.random.Generator) -> np.ndarray:
-    """Points drawn uniformly by area over triangles (t, 3, 3): (count, 3), or (0, 3) without area."""
+    """Points drawn uniformly by area over triangles (t, 3, 3): (count, 3), or (0, 3) without area. As an independent
+    script draws them, whose figures these are to be (tests/unit/eval/test_files.py); elsewhere trimesh does."""
     area_m2 = np.linalg.norm(doubled_areas(corner_m), axis=1)
     if not area_m2.sum() > 0:
         return np.zeros((0, 3))

@@ -128,7 +128,8 @@ def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:
 
 
 def roof_kind(rings: Sequence[np.ndarray], angle_deg: np.ndarray, num_parts: int = 1) -> str:
-    """The kind of a roof from the angles of its edges, for real buildings, which have no label: flat, shed, gable, hip, mixed, or :data:`SEVERAL_HEIGHTS`. rings: each (n, 2); angle_deg: one value per edge.
+    """The kind of a roof from the angles of its edges, for real buildings, which have no label: flat, shed, gable, hip,
+    mixed, or :data:`SEVERAL_HEIGHTS`. rings: each (n, 2); angle_deg: one value per edge.
 
     flat: no slope at all. hip: a slope at every edge. gable: only slopes and gables (90 degrees). shed: the same, but
     all slopes face the same way. mixed: slopes and flat edges.
