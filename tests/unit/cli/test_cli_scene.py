@@ -10,7 +10,7 @@ import pyproj
 import pytest
 import requests
 import trimesh
-from fetch.service import serve_miniature
+from fetching.service import serve_miniature
 from pytest_httpserver import HTTPServer
 
 from p2wss.cli import main
