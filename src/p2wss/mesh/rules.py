@@ -17,6 +17,7 @@ from p2wss.mesh.faces import Surface
 from p2wss.mesh.topology import NEXT, twins, unit_normals
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.groups import groups
+from p2wss.skeleton.types import cross, next_in_ring
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -156,9 +157,7 @@ class _Faces:
         # along the axes of the least, the middle and the largest spread
         place_m = np.einsum("ki,kij->kj", away_m, np.linalg.eigh(spread)[1][face])
         plane_m = np.ascontiguousarray(place_m[:, 2:0:-1])
-        following = np.arange(1, len(point_m) + 1)
-        following[self.ring_offset[1:] - 1] = self.ring_offset[:-1]
-        area_m2 = plane_m[:, 0] * plane_m[following, 1] - plane_m[following, 0] * plane_m[:, 1]
+        area_m2 = cross(plane_m, plane_m[next_in_ring(self.ring_offset)])
         area_m2[np.arange(len(point_m)) >= self.ring_offset[self.face_ring[:-1] + 1][face]] = 0.0  # of holes
         plane_m[:, 1] *= np.where(np.add.reduceat(area_m2, first) < 0.0, -1.0, 1.0)[face]
         return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)

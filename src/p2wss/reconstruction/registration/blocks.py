@@ -92,11 +92,8 @@ def _outline(shapes: np.ndarray) -> np.ndarray:
 
 def edges_of(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
     """The ends of all edges, (e, 4), and the polygon of each, int64 (e,)."""
-    following = np.arange(1, len(polygons.xy_m) + 1)
-    start, end = polygons.ring_offset[:-1], polygons.ring_offset[1:]
-    following[end[end > start] - 1] = start[end > start]
     of_polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
-    return np.column_stack([polygons.xy_m, polygons.xy_m[following]]), of_polygon
+    return np.column_stack([polygons.xy_m, polygons.xy_m[polygons.next_vertex]]), of_polygon
 
 
 def _pieces(edge: np.ndarray, of_edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
