@@ -21,7 +21,6 @@ SCANS_AND_WHAT_FOLLOWS = {
     "eval_reconstruct",
     "measure",
     "medians",
-    "reconstruct_tile",
     "eval_report",
 }
 
