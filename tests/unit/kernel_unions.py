@@ -8,12 +8,13 @@ import manifold3d
 import numpy as np
 
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.planes.solid import simplified
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
-from p2wss.mesh.planar import with_exact_faces
+from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 
 _SHORT_EDGE_M = 1e-2
+# how far a surface may move when slivers are removed
+_SIMPLIFY_M = 2e-3
 
 
 def union(
@@ -38,10 +39,14 @@ def union_or_none(
             return None
         vertex_m = _on_rings(mesh.vertex_m, np.concatenate(list(part.rings)))
         solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex_m, mesh.triangle.astype(np.uint64))))
-    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).to_mesh64()
-    vertex_m = np.array(whole.vert_properties, float)[:, :3]
-    mesh = simplified(vertex_m, np.array(whole.tri_verts, np.int32))
-    if mesh is None or not mesh.is_closed:
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    simple = whole.as_original().simplify(_SIMPLIFY_M)
+    if simple.is_empty() or len(simple.decompose()) != 1:
+        return None
+    out = simple.to_mesh64()
+    vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
+    mesh = without_straight_vertices(Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32)))
+    if not mesh.is_closed:
         return None
     if mesh.edge_m.min() >= _SHORT_EDGE_M:
         return mesh

@@ -17,8 +17,10 @@ from p2wss.fit.mesh.parametric import kernel_angles
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
+from p2wss.fit.settings import THRESHOLDS
 from p2wss.formats import cityjson
 from p2wss.mesh import Mesh
+from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruction.valid import with_valid_solids
 from p2wss.scenes.roofs import ANGLES_DEG, FootprintEdges, draw_angles
@@ -50,7 +52,7 @@ def reconstruction(name: str, rings: Rings, eave_m: float, angle_deg: np.ndarray
     )
     if meshes.status[0]:
         return None
-    return _reconstruction(name, rings, eave_m, angle_deg, Mesh.of_kernel(meshes, 0))
+    return _reconstruction(name, rings, eave_m, angle_deg, with_exact_faces(Mesh.of_kernel(meshes, 0)))
 
 
 def _reconstruction(
@@ -68,8 +70,16 @@ def _reconstruction(
 
 
 def with_planes(name: str, rings: Rings, seed: int, num_lines: int, is_hard: bool) -> Reconstruction | None:
-    """A building below up to five planes, each over random ones of the cells into which lines divide the outline; None
-    where they have no closed solid.
+    """A building below the planes of :func:`below_planes`; None where they have no closed solid."""
+    mesh = below_planes(name, rings, seed, num_lines, is_hard)
+    if mesh is None:
+        return None
+    mesh = without_straight_vertices(with_exact_faces(mesh, THRESHOLDS.short_edge_m))
+    return _reconstruction(name, rings, 5.0, np.zeros(sum(map(len, rings))), mesh)
+
+
+def below_planes(name: str, rings: Rings, seed: int, num_lines: int, is_hard: bool) -> Mesh | None:
+    """The solid below up to five planes, each over random ones of the cells into which lines divide the outline.
 
     is_hard: some planes and lines are nearly but not quite the same, and lines nearly reach corners.
     """
@@ -90,10 +100,7 @@ def with_planes(name: str, rings: Rings, seed: int, num_lines: int, is_hard: boo
         plane[1:, 2] += [_nearly(rng) for _ in plane[1:]]
     cells = arrange(rings, lines)
     label = rng.integers(len(plane), size=len(cells.middle_m))
-    mesh = solid_below(cells, label, plane, corner_m)
-    if mesh is None:
-        return None
-    return _reconstruction(name, rings, 5.0, np.zeros(len(corner_m)), mesh, len(np.unique(label)))
+    return solid_below(cells, label, plane, corner_m)
 
 
 def _nearly(rng: np.random.Generator) -> float:

@@ -14,6 +14,7 @@ from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit.directions import edge_ends
 from p2wss.mesh import Mesh
+from p2wss.mesh.planar import with_exact_faces
 from p2wss.skeleton.types import Meshes, Polygons
 
 
@@ -112,7 +113,7 @@ def build_meshes(
             rings[i],
             float(eave_height_m[i]),
             angle_deg[i],
-            Mesh.of_kernel(meshes, k) if code == skeleton.Status.OK else None,
+            with_exact_faces(Mesh.of_kernel(meshes, k)) if code == skeleton.Status.OK else None,
         )
     return result
 
@@ -125,7 +126,7 @@ def kernel_mesh(
     meshes = skeleton.build(
         polygons, angle_deg, np.array([eave_height_m]), max_roof_height_m=max_roof_height_m
     )
-    return Mesh.of_kernel(meshes, 0) if meshes.status[0] == skeleton.Status.OK else None
+    return with_exact_faces(Mesh.of_kernel(meshes, 0)) if meshes.status[0] == skeleton.Status.OK else None
 
 
 def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:

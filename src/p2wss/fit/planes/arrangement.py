@@ -250,20 +250,3 @@ def _cells_below(xy_m: np.ndarray, end_m: np.ndarray, pair: np.ndarray) -> np.nd
                 if 0 <= above_m < nearest_m:
                     nearest_m, result[i] = above_m, pair[k, 1 if start_x < x else 0]
     return result
-
-
-@entry
-def nearest_lines(
-    end_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray, num: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(the line nearest to each piece (s, 2, 2) of the first ``num`` (s,) lines, by its further end; how far that is).
-    normal, offset_m: of lines (:func:`as_arrays`)."""
-    result, least_m = np.zeros(len(end_m), np.int64), np.full(len(end_m), np.inf)
-    for k in range(len(end_m)):
-        (a, b), (c, d) = end_m[k]
-        for line in range(num[k]):
-            x, y, offset = normal[line, 0], normal[line, 1], offset_m[line]
-            away_m = max(abs(a * x + b * y - offset), abs(c * x + d * y - offset))
-            if away_m < least_m[k]:
-                least_m[k], result[k] = away_m, line
-    return result, least_m

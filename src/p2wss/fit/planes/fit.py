@@ -149,7 +149,12 @@ def fit_planes(
     if drawn is None:
         return None
     num_shown, (plane, at_plane, cells) = len(plane), drawn
-    num_found = len(plane)
+    is_simplified = len(plane) < num_shown
+    # what is apart has lines of its own, but may be of one plane
+    first = dict[tuple[float, ...], int]()
+    of_plane = [first.setdefault((*each,), len(first)) for each in plane.tolist()]
+    # the last one is that of no plane
+    plane, at_plane, num_found = np.array([*first]), np.array([*of_plane, -1])[at_plane], len(first)
     cell = cells.cells_at(point_m[:, :2])
     seen_m, of_cell, stands_m2 = point_m, cell, np.full(len(point_m), 1 / density)
     if supposed_m is not None and len(supposed_m):
@@ -189,7 +194,7 @@ def fit_planes(
         body,
         num_bodies,
         mesh,
-        num_found < num_shown,
+        is_simplified,
         costs,
         point_m,
         at_plane,

@@ -1,4 +1,4 @@
-"""Planes made regular where the points allow it: level, sloping along a direction of the footprint, equally steep."""
+"""Planes made regular where the points allow it: level, along a direction of the footprint, equally steep, the same."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEARLY_ALONG = np.radians(8)
 def regular(
     planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float], settings: Detection
 ) -> np.ndarray:
-    """Planes (k, 3) near to those detected. along: directions of the footprint, radians."""
+    """Planes (k, 3) near to those detected, some of them the same. along: directions of the footprint, radians."""
     slack_m = settings.simpler_m
     rows = rows_of(planes.label, len(planes.plane))
     result = planes.plane.copy()
@@ -41,7 +41,8 @@ def regular(
             turned = _along(own, bearing - turn, settings.noise_m)
             if mean_m(turned, i) < most_m:
                 result[i] = turned
-    return _equally_steep(result, point_m, rows, slack_m)
+    result = _equally_steep(result, point_m, rows, slack_m)
+    return result[_same(result, point_m, rows, slack_m)]
 
 
 def _along(point_m: np.ndarray, bearing: float, noise_m: float) -> np.ndarray:
@@ -70,3 +71,19 @@ def _equally_steep(
             if worse_m < slack_m:
                 result[j], is_set[j] = equal, True
     return result
+
+
+def _same(plane: np.ndarray, point_m: np.ndarray, rows: Sequence[np.ndarray], slack_m: float) -> np.ndarray:
+    """int (k,): of each plane the number of the larger one that is as near to its points, or its own."""
+    same, larger = np.arange(len(plane)), list[int]()
+    for j in sorted(range(len(plane)), key=lambda j: -len(rows[j])):
+        own = point_m[rows[j]]
+        apart_m = np.abs((plane[larger] - plane[j]) @ np.append(own[:, :2].mean(axis=0), 1.0))
+        own_m = mean_distance(plane[j], point_m, rows[j])
+        for i in (larger[k] for k in np.flatnonzero(apart_m < own_m + slack_m).tolist()):
+            if mean_distance(plane[i], point_m, rows[j]) < own_m + slack_m:
+                same[j] = i
+                break
+        else:
+            larger.append(j)
+    return same

@@ -9,22 +9,21 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import shapely
 
-from p2wss.fit.planes.arrangement import GRID_M, Arrangement, nearest_lines
+from p2wss.fit.planes.arrangement import GRID_M, Arrangement
 from p2wss.fit.planes.detection import height_over
 from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
-from p2wss.mesh.booleans import manifold3d
 from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.planar import without_straight_vertices
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
-from p2wss.skeleton.types import writable
+from p2wss.skeleton.types import FaceKind
 
 # the number of the face outside the footprint, and of cells without a building
 OUTSIDE = -1
@@ -37,8 +36,8 @@ _MEET_M, _MAX_MOVE_M = 0.06, 0.15
 # how much more exactly edges of the footprint, and lines on which planes meet, determine a vertex than steps do
 _FOOTPRINT_WEIGHT, _MEET_WEIGHT, _KEEP_WEIGHT = 100.0, 30.0, 1e-6
 _PARALLEL = 0.03
-# metres: how far a surface may move when slivers are removed
-_SIMPLIFY_M = 2e-3
+# the tangent of the slope of a level roof
+_LEVEL = 0.014
 
 
 def solid_below(
@@ -51,8 +50,7 @@ def solid_below(
     """
     borders = _Borders.of(cells, label, corner_m)
     for is_exact in (True, False):
-        network = _Network(borders, plane, cells if is_exact else None)
-        mesh = network.mesh()
+        mesh = _Network(borders, plane, cells, is_exact).mesh()
         if mesh is not None:
             return mesh
     return None
@@ -76,9 +74,11 @@ def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np
 
 @dataclass
 class _Borders:
-    """Half-edges between faces. face: by (start, end), the plane to the left. xy_m: (v, 2). fixed: corners."""
+    """Half-edges between faces. face: by (start, end), the plane to the left. line: of the arrangement, on which they
+    are. xy_m: (v, 2). fixed: corners."""
 
     face: dict[tuple[int, int], int]
+    line: dict[tuple[int, int], int]
     xy_m: np.ndarray
     fixed: set[int]
 
@@ -87,22 +87,43 @@ class _Borders:
         """The borders of the connected cells of one plane, without vertices within straight edges."""
         numbers = np.append(label, OUTSIDE)[cells.pair]
         is_border = numbers[:, 0] != numbers[:, 1]
-        face: dict[tuple[int, int], int] = {}
-        for (start, end), (left, right) in zip(
-            cells.side[is_border].tolist(), numbers[is_border].tolist(), strict=True
-        ):
-            if left != OUTSIDE:
-                face[start, end] = left
-            if right != OUTSIDE:
-                face[end, start] = right
+        face, line = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
+        sides = (each[is_border].tolist() for each in (cells.side, numbers, cells.line))
+        for (start, end), (left, right), number in zip(*sides, strict=True):
+            for edge, beside in (((start, end), left), ((end, start), right)):
+                if beside != OUTSIDE:
+                    face[edge], line[edge] = beside, number
         used = np.array(sorted({vertex for edge in face for vertex in edge}))
         offset_m = np.abs(cells.xy_m[used, None] - corner_m[None]).max(axis=2)
         nearest, is_used = used[offset_m.argmin(axis=0)], offset_m.min(axis=0) < _STRAIGHT_M
         xy_m = cells.xy_m.copy()
         xy_m[nearest[is_used]] = corner_m[is_used]
-        result = cls(face, xy_m, set(nearest[is_used].tolist()))
+        result = cls(face, line, xy_m, set(nearest[is_used].tolist()))
+        result._drop_short_sides()
         result._drop_straight_vertices()
         return result
+
+    def _drop_short_sides(self) -> None:
+        """Makes one of the ends of short sides, where no two faces are then on one side of another; a face of no width
+        vanishes. Corners stay."""
+        edges = np.array([*self.face])
+        step_m = np.diff(self.xy_m[edges], axis=1)[:, 0]
+        for edge in map(tuple, edges[np.hypot(*step_m.T) < _STRAIGHT_M].tolist()):
+            end, gone = edge if edge[1] not in self.fixed else edge[::-1]
+            if edge not in self.face or gone in self.fixed:
+                continue
+            sides = defaultdict[tuple[int, int], list[tuple[int, int]]](list)
+            for each, number in self.face.items():
+                start, stop = (end if vertex == gone else vertex for vertex in each)
+                if start != stop:
+                    sides[start, stop].append((number, self.line[each]))
+            rest = {
+                each: [one for one in both if one[0] not in {two[0] for two in sides.get(each[::-1], ())}]
+                for each, both in sides.items()
+            }
+            if all(len(both) < 2 for both in rest.values()):
+                self.face = {each: both[0][0] for each, both in rest.items() if both}
+                self.line = {each: both[0][1] for each, both in rest.items() if both}
 
     def _drop_straight_vertices(self) -> None:
         beside = defaultdict(set)
@@ -124,6 +145,9 @@ class _Borders:
                 if (start, vertex) in self.face:
                     self.face[start, end] = self.face.pop((start, vertex))
                     del self.face[vertex, end]
+                    lines = self.line.pop((start, vertex)), self.line.pop((vertex, end))
+                    # that of the longer piece
+                    self.line[start, end] = lines[abs(xy[vertex] - xy[start]) < abs(xy[end] - xy[vertex])]
             del beside[vertex]
             for end, far in ((one, other), (other, one)):
                 beside[end] = beside[end] - {vertex} | {far}
@@ -131,13 +155,15 @@ class _Borders:
 
 
 class _Network:
-    """Borders with the places and heights of their vertices."""
+    """Borders with the places and heights of their vertices. is_exact: whether these are where the lines around them
+    meet."""
 
-    def __init__(self, borders: _Borders, plane: np.ndarray, exact: Arrangement | None) -> None:
+    def __init__(self, borders: _Borders, plane: np.ndarray, cells: Arrangement, is_exact: bool) -> None:
         self._borders = borders
         self._plane, self._coefficients = plane, plane.tolist()
         self._face = dict(borders.face)
-        self._xy_m = [*(borders.xy_m if exact is None else self._exact_places(exact))]
+        place_m, self._wall = self._exact_places(cells)
+        self._xy_m = [*(place_m if is_exact else borders.xy_m)]
         self._divide_at_crossings()
         self._vertices: list[tuple[float, float, float]] = []
         self._number: dict[tuple[int, int], int] = {}
@@ -147,9 +173,10 @@ class _Network:
         a, b, c = self._coefficients[number]
         return float(a * xy_m[0] + b * xy_m[1] + c)
 
-    def _exact_places(self, cells: Arrangement) -> np.ndarray:
-        """(v, 2): vertices where the lines around them meet, by least squares. All vertices along a line get the same
-        one, so that walls stay planes when vertices within them are dropped."""
+    def _exact_places(self, cells: Arrangement) -> tuple[np.ndarray, dict[tuple[int, int], tuple[int, ...]]]:
+        """(vertices (v, 2) where the lines around them meet, by least squares; by half-edge, what walls in one plane
+        have in common: a line, or the two planes that meet there, and a side of it). All vertices along a line get the
+        same one, so that walls stay planes when vertices within them are dropped."""
         xy_m, face = self._borders.xy_m, self._face
         edges = [edge for edge in face if edge[0] < edge[1] or edge[::-1] not in face]
         edge = np.array(edges)
@@ -159,18 +186,20 @@ class _Network:
         off_m = np.abs((xy_m[edge] * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
         is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
         normals, offsets_m = as_arrays(cells.lines)
-        end_m = writable(xy_m[edge], np.float64)
-        # where open ground is left out, a line divides the footprint from it
-        num_lines = np.where(is_outer, cells.num_edges, len(cells.lines))
-        line, beside_m = nearest_lines(end_m, normals, offsets_m, num_lines)
-        is_edge = is_outer & (beside_m < _STRAIGHT_M)
-        if (is_outer & ~is_edge).any():
-            line = np.where(
-                is_edge, line, nearest_lines(end_m, normals, offsets_m, 0 * line + len(cells.lines))[0]
-            )
+        line = np.array([self._borders.line[each] for each in edges])
+        is_edge = is_outer & (line < cells.num_edges)
         normal, offset_m = normals[line], offsets_m[line]
         normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
         offset_m[is_meet] = -slope[is_meet, 2] / fold[is_meet]
+        ahead = np.diff(xy_m[edge], axis=1)[:, 0]
+        is_left = ahead[:, 0] * normal[:, 1] > ahead[:, 1] * normal[:, 0]
+        wall = dict[tuple[int, int], tuple[int, ...]]()
+        for each, meets, number, left in zip(
+            edges, is_meet.tolist(), line.tolist(), is_left.tolist(), strict=True
+        ):
+            for way, side in ((each, left), (each[::-1], not left)):
+                if way in face:
+                    wall[way] = (*((face[way], face[way[::-1]]) if meets else (number,)), side)
         weight = np.where(is_edge, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
         # vertices that nothing determines stay
         matrix, right_side = np.tile(_KEEP_WEIGHT * np.eye(2), (len(xy_m), 1, 1)), _KEEP_WEIGHT * xy_m
@@ -181,7 +210,13 @@ class _Network:
         step_m = place_m - xy_m
         is_moved = np.hypot(step_m[:, 0], step_m[:, 1]) < _MAX_MOVE_M
         is_moved[list(self._borders.fixed)] = False
-        return np.where(is_moved[:, None], place_m, xy_m)
+        # no side turns around
+        is_back = np.ones(1, bool)
+        while is_back.any():
+            result_m = np.where(is_moved[:, None], place_m, xy_m)
+            is_back = (np.diff(result_m[edge], axis=1)[:, 0] * ahead).sum(axis=1) < 0.0
+            is_moved[edge[is_back]] = False
+        return result_m, wall
 
     def _divide_at_crossings(self) -> None:
         """Divides the edges along which two roofs change places as the higher one."""
@@ -193,8 +228,8 @@ class _Network:
                 middle = len(self._xy_m)
                 self._xy_m.append(self._xy_m[edge[0]] + share * (self._xy_m[edge[1]] - self._xy_m[edge[0]]))
                 for start, end in (edge, edge[::-1]):
-                    number = self._face.pop((start, end))
-                    self._face[start, middle] = self._face[middle, end] = number
+                    self._face[start, middle] = self._face[middle, end] = self._face.pop((start, end))
+                    self._wall[start, middle] = self._wall[middle, end] = self._wall.pop((start, end))
 
     def _lift(self) -> None:
         """Numbers the vertices of the mesh: those of each column of vertices above one place, from below."""
@@ -219,13 +254,19 @@ class _Network:
         """The closed mesh, None if there is none."""
         border = {edge: OUTSIDE for edge in self._face if edge[::-1] not in self._face}
         vertex_m = np.array(self._vertices)
-        triangle = np.concatenate(
-            [self._triangles([*self._rings(self._face), *self._rings(border)]), self._walls()]
-        ).astype(np.int32)
+        level, number = self._triangles([*self._rings(self._face), *self._rings(border)])
+        walls, wall = self._walls()
+        triangle = np.concatenate([level, walls]).astype(np.int32)
         if vertex_m[:, 2].min() < 0.0 or not is_closed(vertex_m, triangle):
             return None
-        # vertices that no face uses are left out by both
-        return simplified(vertex_m, triangle) or Mesh.of_triangles(vertex_m, triangle).part(slice(None))
+        is_level = np.hypot(*self._plane[:, :2].T) < _LEVEL
+        # the last one is that of the floor
+        kinds = np.append(np.where(is_level, FaceKind.FLAT, FaceKind.ROOF), FaceKind.GROUND)
+        kind = np.append(kinds[number], np.full(len(walls), FaceKind.WALL)).astype(np.uint8)
+        mesh = Mesh(vertex_m, triangle, kind, np.append(number, len(kinds) + wall).astype(np.int32))
+        mesh = without_straight_vertices(mesh.part(slice(None)))
+        # what is apart may move apart
+        return replace(mesh, label=mesh.face.astype(np.int32))
 
     def _rings(self, face: dict[tuple[int, int], int]) -> Iterator[tuple[int, list[int]]]:
         """(plane, places) of closed walks that have the face to their left."""
@@ -253,8 +294,9 @@ class _Network:
         turn = math.atan2(back[1], back[0]) - math.atan2(on[1], on[0])
         return (turn - 1e-12) % (2 * math.pi)
 
-    def _triangles(self, rings: Sequence[tuple[int, list[int]]]) -> np.ndarray:
-        """Vertices (t, 3) of the triangles of all connected faces, seen from outside: of roofs, then of floors."""
+    def _triangles(self, rings: Sequence[tuple[int, list[int]]]) -> tuple[np.ndarray, np.ndarray]:
+        """(vertices (t, 3) of the triangles of all connected faces, seen from outside: of roofs, then of floors; the
+        plane of each, (t,))."""
         numbers, places = zip(*rings, strict=True)
         xy_m, number = np.array(self._xy_m), np.repeat(np.arange(len(places)), [*map(len, places)])
         exterior = np.asarray(shapely.linearrings(xy_m[np.concatenate(places)], indices=number), object)
@@ -270,13 +312,13 @@ class _Network:
         number_of_face = np.unique(face_of_ring[order], return_inverse=True)[1]
         corner_m = xy_m[np.concatenate([places[i] for i in order])]
         triangle, face = triangulated(corner_m, np.array(vertex), ring, number_of_face)
-        is_floor = np.array(numbers)[np.unique(face_of_ring)][face] == OUTSIDE
-        triangle[is_floor] = triangle[is_floor, ::-1]
-        return triangle
+        number = np.array(numbers)[np.unique(face_of_ring)][face]
+        triangle[number == OUTSIDE] = triangle[number == OUTSIDE, ::-1]
+        return triangle, number
 
-    def _walls(self) -> list[list[int]]:
-        """Vertices (t, 3) of the triangles of all walls."""
-        result = []
+    def _walls(self) -> tuple[np.ndarray, np.ndarray]:
+        """(vertices (t, 3) of the triangles of all walls; the wall of each, (t,))."""
+        result, wall, walls = [], [], dict[tuple[int, ...], int]()
         for (start, end), number in self._face.items():
             other = self._face.get((end, start), OUTSIDE)
             sides = []
@@ -294,18 +336,5 @@ class _Network:
                 else:
                     result.append([left[i], right[j], left[i + 1]])
                     i += 1
-        return result
-
-
-def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
-    """A closed mesh (v, 3), (t, 3), some vertices of which may be unused, without the slivers and the vertices within
-    faces and straight edges; None if it is not one solid."""
-    used, index = np.unique(triangle, return_inverse=True)
-    corners = index.reshape(-1, 3).astype(np.uint64)
-    whole = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
-    whole = whole.as_original().simplify(_SIMPLIFY_M)
-    if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
-        return None
-    out = whole.to_mesh64()
-    vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
-    return without_straight_vertices(Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32)))
+                wall.append(walls.setdefault(self._wall[start, end], len(walls)))
+        return np.array(result), np.array(wall)

@@ -207,6 +207,46 @@ def test_two_halves_of_a_plane_become_one_and_two_slopes_do_not() -> None:
     assert len(np.unique(np.column_stack([label, quarter // 2]), axis=0)) == 2
 
 
+def test_planes_that_agree_are_the_same_but_for_others_of_their_slope() -> None:
+    # two patches of one plane, detected 4 mm apart, the other side of the ridge, and a wing 0.3 m lower
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 4, (2, 4, 200)) + np.array([[[0], [8], [0], [16]], [[0], [0], [5], [0]]])
+    truth = np.array([[0, 0.5, 5], [0, 0.5, 5], [0, -0.5, 9.5], [0, 0.5, 4.7]])
+    z = truth[:, 1:2] * y + truth[:, 2:] + rng.normal(0, 0.02, (4, 200))
+    point_m = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    found = truth + np.array([[0, 0, 0.001], [0, 0, -0.003], [0, 0, 0], [0, 0, 0]])
+
+    plane = regular(RoofPlanes(found, np.repeat(np.arange(4), 200)), point_m, [0.0], PLANES.detection)
+
+    assert (plane[0] == plane[1]).all()
+    assert len(np.unique(plane, axis=0)) == 3
+
+
+def test_faces_of_a_solid_are_those_of_its_planes_however_little_these_differ() -> None:
+    square = np.array([[0, 0], [10, 0], [10, 6], [0, 6.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), 4.0)])
+    # they meet over the line, and are less than 4 mm apart everywhere
+    plane = np.array([[0.0, 0.0, 5.0], [5e-4, 0.0, 5.0 - 4 * 5e-4]])
+    mesh = solid_below(cells, (cells.middle_m[:, 0] > 4).astype(int), plane, square)
+
+    assert mesh is not None and mesh.is_closed
+    # two roofs, four walls, and the floor, none with a corner within
+    assert len(mesh.surfaces) == 7 and (mesh.num_planes_at >= 3).all()
+    over = mesh.corner_m[mesh.kind == FaceKind.FLAT].mean(axis=1)
+    np.testing.assert_allclose(over[:, 2], heights(plane, over[:, :2]).max(axis=1), atol=1e-12)
+
+
+def test_a_border_a_millimetre_beside_a_corner_goes_through_it() -> None:
+    square = np.array([[0, 0], [10, 0], [10, 6], [0, 6.0]])
+    cells = arrange([square], [Line(np.array([0.6, -0.8]), 1e-3)])
+    side = np.array([0.6, -0.8]) @ cells.middle_m.T > 0
+    mesh = solid_below(cells, side.astype(int), np.array([[0, 0, 4.0], [0, 0, 7.0]]), square)
+
+    assert mesh is not None and mesh.is_closed
+    assert mesh.edge_m.min() > 1.0
+    assert (mesh.vertex_m[:, :2] == 0.0).all(axis=1).sum() == 3
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.7])
 def test_the_parameters_of_a_gable_roof_and_its_exact_planes(turn: float) -> None:
     rings, plane = gable(12, 8, 4, turn)
