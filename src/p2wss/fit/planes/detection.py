@@ -233,7 +233,7 @@ def _largest(
     label, seen = np.full(num, -1), np.full(num, -1)
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
-    trial, num_trials, min_slope_points = np.zeros(3), 0, max(min_points, settings.min_slope_points)
+    num_trials, min_slope_points = 0, max(min_points, settings.min_slope_points)
     # of very many points, some that showed nothing
     is_tried = np.zeros(num, np.bool_)
     while True:
@@ -254,18 +254,26 @@ def _largest(
                     slope = rise_m / run_m
                 elif t % len(axis) > 0:
                     continue
-                trial[0], trial[1] = slope * along[0], slope * along[1]
-                trial[2] = point_m[seed, 2] - trial[0] * point_m[seed, 0] - trial[1] * point_m[seed, 1]
+                a, b = slope * along[0], slope * along[1]
+                c, length = (
+                    point_m[seed, 2] - a * point_m[seed, 0] - b * point_m[seed, 1],
+                    np.sqrt(1 + a**2 + b**2),
+                )
                 num_trials += 1
-                rows[0], count, seen[seed], reached, score = seed, 1, num_trials, 0, 0.0
+                rows[0], count, seen[seed], reached, score = seed, 1, num_trials, 0, 1.0
                 while reached < count:
                     row, reached = rows[reached], reached + 1
-                    score += 1.0 - (_distance(trial, point_m[row]) / settings.distance_m) ** 2
                     for near in neighbour[row]:
                         if seen[near] == num_trials or label[near] >= 0:
                             continue
-                        if _distance(trial, point_m[near]) < settings.distance_m:
-                            seen[near], rows[count], count = num_trials, near, count + 1
+                        # near to the plane or not, once is enough
+                        seen[near] = num_trials
+                        off_m = (
+                            abs(a * point_m[near, 0] + b * point_m[near, 1] + c - point_m[near, 2]) / length
+                        )
+                        if off_m < settings.distance_m:
+                            score += 1.0 - (off_m / settings.distance_m) ** 2
+                            rows[count], count = near, count + 1
                 if score > best_score and count >= (min_slope_points if slope else min_points):
                     best_score, best_count = score, count
                     best_rows[:count] = rows[:count]
