@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
+from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
@@ -61,8 +63,7 @@ class StepRules:
     sd_m: float = 0.1
 
 
-@dataclass(frozen=True)
-class Expected:
+class Expected(NamedTuple):
     """What is expected before the steps are used, and how far they are trusted.
 
     shift_sd_m, overhang_m, overhang_sd_m: roofs overhang walls by some decimetres. block_sd_m: the error that all steps
@@ -232,12 +233,11 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Es
     along = edge[rows, 2:] - edge[rows, :2]
     normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
     design = np.column_stack([normal, np.ones(len(rows))])
-    (value,), (covariance,) = _solved(design, step_m[rows], np.ones((1, len(rows))))
+    observed = (design, step_m[rows])
+    (value,), (covariance,) = _solved(*observed, np.array([-1]), STEP.sd_m, EXPECTED)
     # those that the others can replace least
     least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[:_MOST_LEFT_OUT]
-    is_used = np.ones((len(least), len(rows)))
-    is_used[np.arange(len(least)), least] = 0.0
-    values, covariances = _solved(design, step_m[rows], is_used)
+    values, covariances = _solved(*observed, least, STEP.sd_m, EXPECTED)
     change_m = (values - value)[:, :2]
     worst = covariances[:, :2, :2] + change_m[:, :, None] * change_m[:, None, :]
     variance_m2 = np.linalg.eigvalsh(worst)[:, -1].max() + EXPECTED.block_sd_m**2
@@ -246,21 +246,44 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Es
     return Estimate(start_m + value[:2], float(np.sqrt(variance_m2)), float(value[2]))
 
 
-def _solved(design: np.ndarray, step_m: np.ndarray, is_used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(shift and overhang (m, 3), their covariance without the prior of the shift (m, 3, 3)) for m choices of n edges.
+@entry
+def _solved(
+    design: np.ndarray, step_m: np.ndarray, left_out: np.ndarray, sd_m: float, expected: Expected
+) -> tuple[np.ndarray, np.ndarray]:
+    """(shift and overhang (m, 3), their covariance without the prior of the shift (m, 3, 3)), each time without one of
+    n edges, -1 for none. design: (n, 3). step_m: (n,). left_out: (m,). sd_m: of a step."""
+    value, covariance = np.zeros((len(left_out), 3)), np.empty((len(left_out), 3, 3))
+    prior, matrix, right = np.zeros(3), np.empty((3, 3)), np.empty(3)
+    prior[:2], prior[2] = 1 / expected.shift_sd_m**2, 1 / expected.overhang_sd_m**2
+    for k in range(len(left_out)):
+        for turn in range(expected.num_rounds):
+            matrix[:], right[:] = np.diag(prior), 0.0
+            right[2] = prior[2] * expected.overhang_m
+            for edge in range(len(step_m)):
+                off_m = step_m[edge]
+                for a in range(3):
+                    off_m -= design[edge, a] * value[k, a]
+                robust = 1 / (1 + (off_m / expected.half_weight_m) ** 2) if turn else 1.0
+                weight = robust / sd_m**2 if edge != left_out[k] else 0.0
+                for a in range(3):
+                    right[a] += weight * design[edge, a] * step_m[edge]
+                    for b in range(3):
+                        matrix[a, b] += weight * design[edge, a] * design[edge, b]
+            inverse = _inverse(matrix)
+            for a in range(3):
+                value[k, a] = (inverse[a] * right).sum()
+        for a in range(2):
+            matrix[a, a] -= prior[a] - expected.rest_of_prior
+        covariance[k] = _inverse(matrix)
+    return value, covariance
 
-    design: (n, 3). step_m: (n,). is_used: 1 or 0, (m, n).
-    """
-    of_shift = 1 / EXPECTED.shift_sd_m**2
-    prior = np.diag([of_shift, of_shift, 1 / EXPECTED.overhang_sd_m**2])
-    expected = np.array([0.0, 0.0, EXPECTED.overhang_m])
-    squares = (design[:, :, None] * design[:, None, :]).reshape(-1, 9)
-    robust = np.ones(is_used.shape)
-    for _ in range(EXPECTED.num_rounds):
-        weight = is_used * robust / STEP.sd_m**2
-        normal_matrix = (weight @ squares).reshape(-1, 3, 3) + prior
-        right = (weight * step_m) @ design + prior @ expected
-        value = np.linalg.solve(normal_matrix, right[:, :, None])[:, :, 0]
-        robust = 1 / (1 + ((step_m - value @ design.T) / EXPECTED.half_weight_m) ** 2)
-    without_prior = of_shift - EXPECTED.rest_of_prior
-    return value, np.linalg.inv(normal_matrix - np.diag([without_prior, without_prior, 0.0]))
+
+@allocating
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """The inverse of a symmetric matrix (3, 3)."""
+    (a, b, c), (_, d, e), (_, _, f) = matrix
+    result = np.empty((3, 3))
+    result[0] = d * f - e * e, c * e - b * f, b * e - c * d
+    result[1] = c * e - b * f, a * f - c * c, b * c - a * e
+    result[2] = b * e - c * d, b * c - a * e, a * d - b * b
+    return result / (a * result[0, 0] + b * result[0, 1] + c * result[0, 2])
