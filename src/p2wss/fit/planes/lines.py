@@ -10,7 +10,6 @@ import numpy as np
 import shapely
 
 from p2wss.fit.directions import edge_ends
-from p2wss.fit.planes.detection import heights, rows_of
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
@@ -97,25 +96,11 @@ def lines_of(
             steps += _steps(sides, along, settings)
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
-    by_x = np.argsort(point_m[:, 0], kind="stable")
-    x_m = point_m[by_x, 0]
-    for number, (rows, angle) in enumerate(zip(rows_of(label, len(plane)), own.tolist(), strict=True)):
-        # a rectangle along the plane around its points, and what is as far along both axes
-        turned = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        place = point_m[rows, :2] @ turned.T
-        corner_m = (
-            np.array(np.meshgrid(*zip(place.min(axis=0), place.max(axis=0), strict=True))).reshape(2, -1).T
-            @ turned
-        )
-        low_m, high_m = corner_m.min(axis=0), corner_m.max(axis=0)
-        first, last = np.searchsorted(x_m, (low_m[0], high_m[0]))
-        others = by_x[first:last]
-        others = others[
-            (point_m[others, 1] >= low_m[1]) & (point_m[others, 1] <= high_m[1]) & (label[others] != number)
-        ]
-        off_m = np.abs(heights(plane[number : number + 1], point_m[others, :2])[:, 0] - point_m[others, 2])
-        others = np.sort(others[off_m > _STEP_M])
-        steps += _extent(point_m[rows, :2], point_m[others, :2], angle, settings)
+    turned = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2, 2)
+    axes = turned.reshape(-1, 2)
+    sides_m = _extents(point_m, label, plane, axes, point_m[:, :2] @ axes.T, settings.reach_m)
+    normals = axes.repeat(2, axis=0)
+    steps += [Line(normal, *side) for normal, side in zip(normals, sides_m.tolist(), strict=True)]
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
     steps = snapped + [edge for edge, is_reflex in edges if is_reflex]
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
@@ -192,30 +177,69 @@ def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawi
     return result
 
 
-def _extent(xy_m: np.ndarray, other_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
-    """The sides of the rectangle around the places (m, 2) of a plane, without the strips along them that have more of
-    the places (n, 2) of points off the plane."""
-    normal = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    # of so few values, numpy's own percentiles take ten times as long
-    place, other = np.sort(xy_m @ normal.T, axis=0), other_m @ normal.T
-    margin_m = (place[-1] - place[0]) / len(place) ** 0.5 / 2
-    low, high = place[[round(share * (len(place) - 1)) for share in (0.01, 0.99)]]
-    # the direction of the first axis is the second axis, that of the second is against the first
-    (start, left), (end, right) = place[0] - settings.reach_m, place[-1] + settings.reach_m
-    both = np.concatenate([place, other[((other >= low) & (other <= high)).all(axis=1)]])
-    order = np.argsort(both, axis=0, kind="stable")
-    # how many more of the plane than others are up to each of all places
-    num_more = np.cumsum(np.where(order < len(place), 1, -1), axis=0)
-    result = []
-    for axis, span in enumerate([(left, right), (-end, -start)]):
-        along, num = both[order[:, axis], axis], num_more[:, axis]
-        first, last = int(num.argmin()), int(num.argmax())
-        from_m, to_m = low[axis] - margin_m[axis], high[axis] + margin_m[axis]
-        if num[first] < 0:
-            from_m = along[first : first + 2].mean()
-        if num[last] > num[-1]:
-            to_m = along[last : last + 2].mean()
-        result += [Line(normal[axis], float(offset_m), *span) for offset_m in (from_m, to_m)]
+@entry
+def _extents(
+    point_m: np.ndarray,
+    label: np.ndarray,
+    plane: np.ndarray,
+    axes: np.ndarray,
+    place_m: np.ndarray,
+    reach_m: float,
+) -> np.ndarray:
+    """(offset, low and high end of lines (4 k, 3)), two across each of the ``axes`` (2 k, 2), of which each plane has
+    two: the sides of the rectangle around its points, without the strips along them that have more of the points off
+    the plane. place_m: (m, 2 k), of each point along each axis."""
+    result, by_x = np.empty((4 * len(plane), 3)), np.argsort(point_m[:, 0], kind="mergesort")
+    x_m = point_m[by_x, 0]
+    by_label = np.argsort(label, kind="mergesort")
+    begin = np.searchsorted(label[by_label], np.arange(len(plane) + 1))
+    own_m, other_m = np.empty((2, len(label))), np.empty((2, len(label)))
+    for number in range(len(plane)):
+        (cosine, sine), (a, b, c) = axes[2 * number], plane[number]
+        num, num_others = 0, 0
+        for row in by_label[begin[number] : begin[number + 1]]:
+            own_m[:, num], num = place_m[row, 2 * number : 2 * number + 2], num + 1
+        left, right = own_m[0, :num].min(), own_m[0, :num].max()
+        bottom, top = own_m[1, :num].min(), own_m[1, :num].max()
+        # what is as far along both axes of coordinates
+        low_x = min(cosine * left, cosine * right) + min(-sine * bottom, -sine * top)
+        high_x = max(cosine * left, cosine * right) + max(-sine * bottom, -sine * top)
+        low_y = min(sine * left, sine * right) + min(cosine * bottom, cosine * top)
+        high_y = max(sine * left, sine * right) + max(cosine * bottom, cosine * top)
+        for k in range(2):
+            own_m[k, :num] = np.sort(own_m[k, :num])
+        first, last = int(np.rint(0.01 * (num - 1))), int(np.rint(0.99 * (num - 1)))
+        for row in by_x[np.searchsorted(x_m, low_x) : np.searchsorted(x_m, high_x)]:
+            x, y, z = point_m[row]
+            if label[row] != number and low_y <= y <= high_y and abs(a * x + b * y + c - z) > _STEP_M:
+                u, v = place_m[row, 2 * number : 2 * number + 2]
+                if own_m[0, first] <= u <= own_m[0, last] and own_m[1, first] <= v <= own_m[1, last]:
+                    other_m[0, num_others], other_m[1, num_others], num_others = u, v, num_others + 1
+        for k in range(2):
+            other_m[k, :num_others] = np.sort(other_m[k, :num_others])
+            margin_m = (own_m[k, num - 1] - own_m[k, 0]) / num**0.5 / 2
+            from_m, to_m = own_m[k, first] - margin_m, own_m[k, last] + margin_m
+            # how many more of the plane than others are up to each place, where they are least and most
+            more, least, most, own, other, is_least, is_most = 0, 0, 0, 0, 0, False, False
+            least_m = most_m = 0.0
+            while own < num or other < num_others:
+                is_own = other == num_others or (own < num and own_m[k, own] <= other_m[k, other])
+                here_m = own_m[k, own] if is_own else other_m[k, other]
+                # the line is halfway to the next place
+                least_m = (least_m + here_m) / 2 if is_least else least_m
+                most_m = (most_m + here_m) / 2 if is_most else most_m
+                own, other, more = (own + 1, other, more + 1) if is_own else (own, other + 1, more - 1)
+                is_least, is_most = more < least, more > most
+                if is_least:
+                    least, least_m = more, here_m
+                if is_most:
+                    most, most_m = more, here_m
+            # the direction of the first axis is the second axis, that of the second is against the first
+            low_m, high_m = (
+                (bottom - reach_m, top + reach_m) if k == 0 else (-right - reach_m, reach_m - left)
+            )
+            result[4 * number + 2 * k] = least_m if least < 0 else from_m, low_m, high_m
+            result[4 * number + 2 * k + 1] = most_m if most > more else to_m, low_m, high_m
     return result
 
 
@@ -260,11 +284,16 @@ def _through_corners(lines: Sequence[Line], corner_m: np.ndarray, near_m: float)
     direction = np.column_stack([-normal[:, 1], normal[:, 0]])
     off_m, place = np.abs(normal @ corner_m.T - offset_m[:, None]), direction @ corner_m.T
     result = []
-    for line, off, at in zip(lines, off_m, place, strict=True):
-        near = np.flatnonzero((off < near_m) & (at > line.low_m) & (at < line.high_m))
-        if off[near].max(initial=0.0) < _ON_M:
+    low_m, high_m = (
+        np.array([(line.low_m, line.high_m) for line in lines]).reshape(-1, 2, 1).transpose(1, 0, 2)
+    )
+    is_near = (off_m < near_m) & (place > low_m) & (place < high_m)
+    passes = (is_near & (off_m >= _ON_M)).any(axis=1).tolist()
+    for line, is_beside, at, by in zip(lines, is_near, place, passes, strict=True):
+        if not by:
             result.append(line)
             continue
+        near = np.flatnonzero(is_beside)
         on = corner_m[near[np.argsort(at[near], kind="stable")]]
         first_m, last_m = (float(each @ line.normal) for each in on[[0, -1]])
         result.append(line._replace(offset_m=first_m, high_m=at[near].min()))
