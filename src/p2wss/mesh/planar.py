@@ -12,7 +12,8 @@ from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
 from p2wss.mesh.topology import NEXT
 from p2wss.mesh.triangulation import triangulated_in_space
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.types import FaceKind, writable
 
 # planes of which a corner stays further than this, or moves further than the second figure, stay as they are
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
@@ -117,13 +118,34 @@ def _is_as_valid(mesh: Mesh, before: Mesh) -> bool:
     """Whether a mesh is closed, has no edge that files merge, and does not cross itself, if so was the one before."""
     if (before.is_closed and not mesh.is_closed) or mesh.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
         return False
-    index = {place: k for k, place in enumerate(map(tuple, before.vertex_m.tolist()))}
-    number = np.array([index.get(place, -1) for place in map(tuple, mesh.vertex_m.tolist())])
-    corner, base = number[mesh.triangle], len(before.vertex_m) ** np.arange(3)
-    is_new = (corner < 0).any(axis=1) | ~np.isin(corner @ base, before.triangle @ base)
-    if not crosses_itself(mesh.vertex_m, mesh.triangle, np.flatnonzero(is_new)):
+    if not crosses_itself(mesh.vertex_m, mesh.triangle, np.flatnonzero(_is_new(mesh, before))):
         return True
     return crosses_itself(before.vertex_m, before.triangle)
+
+
+def _is_new(mesh: Mesh, before: Mesh) -> np.ndarray:
+    """bool (t,): which triangles were not there before, between the same places."""
+    order = np.argsort(before.vertex_m[:, 0], kind="stable")
+    old_m = before.vertex_m[order]
+    first = np.searchsorted(old_m[:, 0], mesh.vertex_m[:, 0])
+    number = _same_places(writable(mesh.vertex_m, np.float64), old_m, order, first)
+    corner, base = number[mesh.triangle], len(order) ** np.arange(3)
+    old, own = np.sort(before.triangle @ base), corner @ base
+    is_old = old[np.minimum(np.searchsorted(old, own), len(old) - 1)] == own
+    return np.asarray((corner < 0).any(axis=1) | ~is_old)
+
+
+@entry
+def _same_places(place_m: np.ndarray, old_m: np.ndarray, number: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The number (v,) of the last of the old places (n, 3), which are sorted by x, that is the same as each place (v,
+    3); -1 for none. first: the old place from which on x is the same or more."""
+    result = np.full(len(place_m), -1)
+    for k, old in enumerate(first):
+        while old < len(old_m) and old_m[old, 0] == place_m[k, 0]:
+            if old_m[old, 1] == place_m[k, 1] and old_m[old, 2] == place_m[k, 2]:
+                result[k] = number[old]
+            old += 1
+    return result
 
 
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:
