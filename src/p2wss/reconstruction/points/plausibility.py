@@ -21,6 +21,8 @@ from p2wss.storage.log_lines import log
 
 # footprints of a sample, and metres around each in which its points are read
 _NUM_SAMPLED, _AROUND_M = 32, 6.0
+# points, at most, that are read together
+_TOGETHER = 500_000
 # a terrain further from the ground of the points than this is of other units or of another height system
 _MAX_GAP_M = 10.0
 # factors by which heights of a terrain may be wrong, with the unit that they then have
@@ -75,17 +77,21 @@ def sample_of(
     values = np.full((6, len(rows)), np.nan)
     values[5] = 0
     stated_m = features.columns.get("stated_height_m", np.full(len(features), np.nan))
-    for k, row in enumerate(rows.tolist()):
-        shape = features.geometry[row]
-        box = np.array([[*shape.bounds]]) + _AROUND_M * np.array([-1, -1, 1, 1])
-        cloud = points.near(box, adds_classes=False)
-        cropped = crop_cloud(cloud, polygon_arrays.to_polygons(np.array([shape])))
-        on = cropped.point[cropped.inside]
-        is_roof = cloud.classification[on] == BUILDING_CLASS
-        roof_z = cloud.z_m[on[is_roof] if is_roof.any() else on]
-        values[0, k], values[2, k], values[3, k] = cropped.ground_z_m[0], np.sqrt(shape.area), stated_m[row]
-        values[1, k] = np.median(roof_z) - values[0, k] if len(roof_z) else np.nan
-        values[5, k] = len(on)
+    shapes = features.geometry[rows]
+    boxes = shapely.bounds(shapes) + _AROUND_M * np.array([-1, -1, 1, 1])
+    values[2], values[3] = np.sqrt(shapely.area(shapes)), stated_m[rows]
+    every = np.arange(len(rows))
+    for some in [every] if points.count(boxes) <= _TOGETHER else every[:, None]:
+        cloud = points.near(boxes[some], adds_classes=False)
+        cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes[some]))
+        values[0, some] = cropped.ground_z_m
+        for i, k in enumerate(some.tolist()):
+            own = slice(cropped.offset[i], cropped.offset[i + 1])
+            on = cropped.point[own][cropped.inside[own]]
+            is_roof = cloud.classification[on] == BUILDING_CLASS
+            roof_z = cloud.z_m[on[is_roof] if is_roof.any() else on]
+            values[1, k] = np.median(roof_z) - values[0, k] if len(roof_z) else np.nan
+            values[5, k] = len(on)
     if terrain is not None and len(rows):
         values[4] = terrain.interpolated(features["centre_x_m"][rows], features["centre_y_m"][rows])
     return Sample(*values)
