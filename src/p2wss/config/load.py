@@ -8,7 +8,6 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from p2wss.config.base import merge
@@ -65,6 +64,8 @@ def section_json(config: Config, *names: str, without: Collection[str] = ()) -> 
 def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
     if isinstance(document, dict):
         return document
+    import yaml  # a hundredth of a second, where there is a config
+
     text = str(document)
     with reading(f"config: {document}", "YAML"):
         if not text.lstrip().startswith("{"):

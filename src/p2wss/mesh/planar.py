@@ -116,6 +116,8 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
 
 def _is_as_valid(mesh: Mesh, before: Mesh) -> bool:
     """Whether a mesh is closed, has no edge that files merge, and does not cross itself, if so was the one before."""
+    if mesh is before:
+        return True
     if (before.is_closed and not mesh.is_closed) or mesh.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
         return False
     if not crosses_itself(mesh.vertex_m, mesh.triangle, np.flatnonzero(_is_new(mesh, before))):

@@ -50,6 +50,7 @@ def warm_product() -> None:
     from p2wss.fit import fitting
     from p2wss.fit.planes.costs import Costs, problem_of
     from p2wss.fit.settings import PlanePrices
+    from p2wss.mesh.planar import with_exact_faces
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruction.network import with_supposed_roofs
     from p2wss.reconstruction.outputs import exports
@@ -76,7 +77,10 @@ def warm_product() -> None:
     costs = Costs(problem, PlanePrices(), np.zeros((1, 2)))
     costs.total_m3(costs.faces(pair[0, :1]))
     costs.change_m3(pair[0, :1], 0, 0)
-    # only one with a short edge
+    # only roofs that are not quite planes, or have a short edge
+    mesh = results[1].reconstruction.mesh
+    away_m = np.random.default_rng(0).uniform(0, 1e-4, mesh.vertex_m.shape) * (mesh.vertex_m[:, 2:] > 0) * [0, 0, 1]
+    with_exact_faces(mesh.moved(mesh.vertex_m + away_m))
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     # only footprints that may have to move
     solve_shift(np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1), np.zeros(2))

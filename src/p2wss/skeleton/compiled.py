@@ -35,15 +35,12 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import Environment
 from numba.core.runtime._nrt_python import c_helpers
-from numba.np import linalg
 
 try:
     import fcntl
 except ModuleNotFoundError:  # Windows: two processes may compile the same function
     fcntl: Any = None  # type: ignore[no-redef]
 
-# before the first function, numba would load scipy's linear algebra to see whether it is there; none here uses it
-linalg.ensure_blas = lambda: None
 # it also tells who listens of every call of LLVM, a hundred and more for each function that is loaded
 ffi.lib._lock._cblist.clear()
 
@@ -241,6 +238,11 @@ class _Notice(event.Listener):
             # another process may have compiled some meanwhile
             self._progress.total = self._num_done + sum(not each.is_stored for each in _Cache.of_all)
         if self._depth == 0:
+            # which only the compiler needs; before the first function, it would load scipy's linear algebra to see
+            # whether it is there, and none here uses it
+            from numba.np import linalg
+
+            linalg.ensure_blas = lambda: None
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
