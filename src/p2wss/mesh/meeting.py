@@ -70,9 +70,11 @@ def with_meeting_planes(
         moves = np.asarray(scale.any(axis=(1, 2)))
         is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), bool))
         # places where planes depend on each other, as more meet than a point needs
-        here = np.isin(at, at[is_linked])
+        is_place = np.zeros(len(first), bool)
+        is_place[at[is_linked]] = True
+        here = is_place[at]
         num_spare = np.bincount(at[here], minlength=len(first))
-        num_spare[np.unique(at[here])] -= _inverses(row[plane[here]], at[here])[1]
+        num_spare[is_place] -= _inverses(row[plane[here]], at[here])[1]
         is_linked = _is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
         part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
         is_wrong = np.bincount(part[num:][is_off], minlength=part.max() + 1) > 0

@@ -78,9 +78,9 @@ def warm_product() -> None:
     costs.total_m3(costs.faces(pair[0, :1]))
     costs.change_m3(pair[0, :1], 0, 0)
     # only roofs that are not quite planes, or have a short edge
-    mesh = results[1].reconstruction.mesh
-    away_m = np.random.default_rng(0).uniform(0, 1e-4, mesh.vertex_m.shape) * (mesh.vertex_m[:, 2:] > 0) * [0, 0, 1]
-    with_exact_faces(mesh.moved(mesh.vertex_m + away_m))
+    mesh = results[1].reconstruction.placed_mesh
+    away_m = np.random.default_rng(0).uniform(0, 1e-4, mesh.vertex_m.shape) * [0, 0, 1]
+    with_exact_faces(mesh.moved(mesh.vertex_m + away_m * (mesh.vertex_m[:, 2:] > 1)))
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     # only footprints that may have to move
     solve_shift(np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1), np.zeros(2))

@@ -145,9 +145,12 @@ def _sloped_type(
     area_m2 = np.linalg.norm(normal_m2, axis=1)
     is_main = area_m2 > _SMALL_SHARE * area_m2.sum()
     main, down = roof_faces[is_main], normal_m2[is_main, :2]
-    among = np.isin(meetings.face, main).all(axis=1)
+    is_one = np.zeros(int(mesh.face.max()) + 1, bool)
+    is_one[main] = True
+    among = is_one[meetings.face].all(axis=1)
+    is_one[mesh.face[is_sloped]] = False
     # a roof of many has none with a large share of it
-    if not len(main) or not np.isin(main, mesh.face[is_sloped]).all() or not meetings.is_convex[among].all():
+    if not len(main) or is_one.any() or not meetings.is_convex[among].all():
         return SLOPES
     if len(main) == 1:
         return SHED

@@ -155,7 +155,8 @@ def _heights(position_m: Sequence[np.ndarray], terrain: Terrain | None) -> Heigh
     known = np.array([each for each in position_m if np.isfinite(each).all()]).reshape(-1, 3)
 
     def of_buildings(plan_m: np.ndarray) -> np.ndarray:
-        away_m2 = ((plan_m[:, None] - known[:, :2]) ** 2).sum(axis=2)
+        x_m, y_m = (plan_m[:, axis, None] - known[:, axis] for axis in (0, 1))
+        away_m2 = x_m**2 + y_m**2
         weight = 1 / (away_m2 + 1.0) ** 2
         return (weight @ known[:, 2]) / weight.sum(axis=1)
 
