@@ -42,6 +42,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     kept = set()
     while result is not None:
         mesh, result = result, None
+        num_thin = _is_thin(mesh).sum()
         edge_m = mesh.edge_m.ravel()
         rows, floor = np.flatnonzero(edge_m < short_m), mesh.triangle[mesh.kind == FaceKind.GROUND]
         span = int(mesh.label.max(initial=0)) + 1
@@ -62,10 +63,10 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
             elif gone not in floor:
                 merged = _merged(mesh, end, gone)
                 result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
-            if result is not None and _is_thin(result).sum() > _is_thin(mesh).sum():
+            if result is not None and _is_thin(result).sum() > num_thin:
                 # the other end of a step that went, or a vertex that a wall now passes through
                 result = with_exact_faces(result, _NO_HEIGHT_M, walls_stay)
-                result = None if _is_thin(result).sum() > _is_thin(mesh).sum() else result
+                result = None if _is_thin(result).sum() > num_thin else result
             if result is not None and _is_as_valid(result, mesh):
                 break
             # none, or a vertex has come to where another one is, as where four walls share an upright edge, or beyond

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -39,6 +40,14 @@ class Arrangement:
     line: np.ndarray
     lines: Sequence[Line]
     num_edges: int
+
+    @cached_property
+    def vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """(vertices of all cells, cell by cell, some of them twice; where those of each cell begin, (c + 1,))."""
+        owner, vertex = np.tile(self.pair.T.ravel(), 2), self.side.T.repeat(2, axis=0).ravel()
+        order = np.argsort(owner, kind="stable")
+        order = order[np.searchsorted(owner[order], 0) :]
+        return vertex[order], np.searchsorted(owner[order], np.arange(len(self.area_m2) + 1))
 
     def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
         """int (m,), the cell at each place (m, 2), -1 outside."""

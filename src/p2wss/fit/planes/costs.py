@@ -111,7 +111,7 @@ def costs_of(
     seen = _Points(
         point_m[order], stands_m2[order], begin, float(point_m[:, 2].min()), float(point_m[:, 2].max())
     )
-    vertex, vertex_first = _vertices_of(cells)
+    vertex, vertex_first = cells.vertices
     area_m2 = writable(cells.area_m2, np.float64)
     cell_m3 = _cell_costs(
         first, number, writable(plane, np.float64), seen, area_m2, cells.xy_m[vertex], vertex_first, prices
@@ -187,7 +187,7 @@ def candidates_of(
     may have.
     """
     size_m = near_m / 2
-    vertex, vertex_first = _vertices_of(cells)
+    vertex, vertex_first = cells.vertices
     in_cell = of_cell >= 0
     place_m = np.concatenate([cells.middle_m, cells.xy_m[vertex], point_m[in_cell]])
     owner = np.concatenate(
@@ -218,15 +218,6 @@ def candidates_of(
     return _united(
         *np.divmod(pairs, len(wanted)), square_first, square_plane, len(cells.middle_m), num_planes
     )
-
-
-def _vertices_of(cells: Arrangement) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices of all cells, cell by cell, some of them twice; where those of each cell begin, (c + 1,))."""
-    owner, vertex = cells.pair.T.ravel(), np.tile(cells.side[:, 0], 2)
-    owner, vertex = np.concatenate([owner, owner]), np.concatenate([vertex, np.tile(cells.side[:, 1], 2)])
-    order = np.argsort(owner, kind="stable")
-    order = order[np.searchsorted(owner[order], 0) :]
-    return vertex[order], np.searchsorted(owner[order], np.arange(len(cells.area_m2) + 1))
 
 
 @entry
