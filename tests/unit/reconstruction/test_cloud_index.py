@@ -9,12 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
+import shapely
 
 from p2wss.clouds.reading import Cloud
+from p2wss.reconstruction.points import plausibility
 from p2wss.reconstruction.points.cloud_index import CELL_M, CloudIndex
 from p2wss.storage import temporary
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 NAMES = ("x_m", "y_m", "z_m", "classification", "day")
 
@@ -127,3 +131,24 @@ def test_the_file_has_no_name_and_a_full_disk_is_one_line(
     monkeypatch.setattr(temporary.tempfile, "TemporaryFile", lambda **options: Full())
     with pytest.raises(InputError, match="35 bytes each: No space left on device"):
         index_of(cloud_of(100, 100), boxes, tmp_path)
+
+
+def test_a_look_at_heights_is_the_same_together_and_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shapes = [shapely.box(x - 10, y - 10, x + 10, y + 10) for x in (-64, 64) for y in (-64, 64)]
+    middle_m = np.array([[shape.centroid.x, shape.centroid.y] for shape in shapes])
+    columns = {"centre_x_m": middle_m[:, 0], "centre_y_m": middle_m[:, 1]}
+    features = Features(np.array(shapes, object), columns, pyproj.CRS(2154))
+    cloud = cloud_of(60_000, 250)
+    samples = []
+    for together in (len(cloud), 0):
+        monkeypatch.setattr(plausibility, "_TOGETHER", together)
+        with index_of(cloud, shapely.bounds(shapes) + np.array([-70, -70, 70, 70]), tmp_path) as points:
+            samples.append(plausibility.sample_of(features, points, None))
+    for name, values in vars(samples[0]).items():
+        assert np.array_equal(values, vars(samples[1])[name], equal_nan=True)
+    assert (
+        samples[0].height_m == pytest.approx(np.full(4, 6.0), abs=0.05)
+        and (samples[0].num_points > 100).all()
+    )
