@@ -76,7 +76,7 @@ def test_the_config_imports_nothing_heavy():
     modules = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
-    assert not {"torch", "pandas", "geopandas", "pyarrow", "numba", "shapely"} & set(modules)
+    assert not {"torch", "pandas", "geopandas", "pyarrow", "numba", "shapely", "yaml"} & set(modules)
 
 
 def test_default_yaml_is_valid_yaml():
