@@ -98,7 +98,10 @@ def lines_of(
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
     turned = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2, 2)
     axes = turned.reshape(-1, 2)
-    sides_m = _extents(point_m, label, plane, axes, point_m[:, :2] @ axes.T, settings.reach_m)
+    by_x, by_label = (np.argsort(key, kind="stable") for key in (point_m[:, 0], label))
+    begin = np.searchsorted(label[by_label], np.arange(len(plane) + 1))
+    place_m = point_m[:, :2] @ axes.T
+    sides_m = _extents(point_m, label, plane, axes, place_m, by_x, by_label, begin, settings.reach_m)
     normals = axes.repeat(2, axis=0)
     steps += [Line(normal, *side) for normal, side in zip(normals, sides_m.tolist(), strict=True)]
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
@@ -184,30 +187,30 @@ def _extents(
     plane: np.ndarray,
     axes: np.ndarray,
     place_m: np.ndarray,
+    by_x: np.ndarray,
+    by_label: np.ndarray,
+    begin: np.ndarray,
     reach_m: float,
 ) -> np.ndarray:
     """(offset, low and high end of lines (4 k, 3)), two across each of the ``axes`` (2 k, 2), of which each plane has
     two: the sides of the rectangle around its points, without the strips along them that have more of the points off
-    the plane. place_m: (m, 2 k), of each point along each axis."""
-    result, by_x = np.empty((4 * len(plane), 3)), np.argsort(point_m[:, 0], kind="mergesort")
-    x_m = point_m[by_x, 0]
-    by_label = np.argsort(label, kind="mergesort")
-    begin = np.searchsorted(label[by_label], np.arange(len(plane) + 1))
+    the plane. place_m: (m, 2 k), of each point along each axis. by_x, by_label: the order of the points, and where
+    those of each plane ``begin`` (k + 1,)."""
+    result, x_m = np.empty((4 * len(plane), 3)), point_m[by_x, 0]
     own_m, other_m = np.empty((2, len(label))), np.empty((2, len(label)))
     for number in range(len(plane)):
         (cosine, sine), (a, b, c) = axes[2 * number], plane[number]
         num, num_others = 0, 0
         for row in by_label[begin[number] : begin[number + 1]]:
             own_m[:, num], num = place_m[row, 2 * number : 2 * number + 2], num + 1
-        left, right = own_m[0, :num].min(), own_m[0, :num].max()
-        bottom, top = own_m[1, :num].min(), own_m[1, :num].max()
+        for k in range(2):
+            own_m[k, :num] = np.sort(own_m[k, :num])
+        (left, bottom), (right, top) = own_m[:, 0], own_m[:, num - 1]
         # what is as far along both axes of coordinates
         low_x = min(cosine * left, cosine * right) + min(-sine * bottom, -sine * top)
         high_x = max(cosine * left, cosine * right) + max(-sine * bottom, -sine * top)
         low_y = min(sine * left, sine * right) + min(cosine * bottom, cosine * top)
         high_y = max(sine * left, sine * right) + max(cosine * bottom, cosine * top)
-        for k in range(2):
-            own_m[k, :num] = np.sort(own_m[k, :num])
         first, last = int(np.rint(0.01 * (num - 1))), int(np.rint(0.99 * (num - 1)))
         for row in by_x[np.searchsorted(x_m, low_x) : np.searchsorted(x_m, high_x)]:
             x, y, z = point_m[row]
