@@ -17,6 +17,7 @@ from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.half_edges import find
 
+# a function that gets a literal is compiled once more for it, so that constants here are numbers of numpy
 _MAX_ROUNDS = 4
 _GAIN_M3 = 1e-6
 # steps to a cell that no path reaches
@@ -36,7 +37,7 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
     """The same. middle_m: (c, 2). first_known: the first plane of those with which the search begins."""
     choice = _relabelled(problem, prices, first_known)
     if first_known > 0:
-        choice = _expanded(problem, prices, choice, 0)
+        choice = _expanded(problem, prices, choice, np.int64(0))
     choice = _with_fewer_faces(problem, prices, choice)
     label, slots = problem.number[choice], _slots(problem)
     length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
@@ -50,10 +51,10 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
         is_tried[line], sides = True, by_line[begin[line] : begin[line + 1]]
         cells = _around_steps(problem, prices, middle_m, label, face, sides)
         faces = _Faces(face, np.arange(len(face)), length_m)
-        part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, True, slots)
+        part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, np.bool_(True), slots)
         before_m3 = total_m3(part, prices, old)
         part.is_barred[lines == line] = True
-        new = _with_fewer_faces(part, prices, _relabelled(part, prices, 0))
+        new = _with_fewer_faces(part, prices, _relabelled(part, prices, np.int64(0)))
         if total_m3(part, prices, new) < before_m3 - _GAIN_M3:
             choice[cells], problem.is_barred[line] = origin[new[: len(cells)]], True
             label = problem.number[choice]
@@ -165,7 +166,7 @@ def _part(
         slots.is_around[problem.number[choice[cell]]] = True
     # of all cells the present planes, then those that may be chosen
     everything = np.concatenate((cells, around))
-    planes, num_planes, num_candidates = np.empty(len(slots.plane), np.int64), 0, num_around
+    planes, num_planes, num_candidates = np.empty(len(slots.plane), np.int64), np.int64(0), num_around
     for cell in everything:
         number = problem.number[choice[cell]]
         if slots.plane[number] < 0:
@@ -273,10 +274,12 @@ def _with_fewer_faces(problem: Problem, prices: PlanePrices, choice: np.ndarray)
             cells, cell = np.empty(size[face], np.int64), face
             for k in range(len(cells)):
                 cells[k], cell = cell, following[cell]
-            part, old, origin, lines, around = _part(problem, prices, choice, faces, cells, False, slots)
+            part, old, origin, lines, around = _part(
+                problem, prices, choice, faces, cells, np.bool_(False), slots
+            )
             if (part.first[1 : len(cells) + 1] == part.first[: len(cells)]).any():
                 continue
-            new = _relabelled(part, prices, 0)
+            new = _relabelled(part, prices, np.int64(0))
             if total_m3(part, prices, new) >= total_m3(part, prices, old) - _GAIN_M3:
                 continue
             choice[cells] = origin[new[: len(cells)]]
@@ -338,7 +341,7 @@ def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_p
         before = time
         for plane in range(first_plane, len(problem.plane)):
             own = problem.by_plane[problem.plane_first[plane] : problem.plane_first[plane + 1]]
-            cells, num, is_new = work.cells, 0, False
+            cells, num, is_new = work.cells, np.int64(0), False
             for t in own:
                 cell = problem.of_cell[t]
                 if cell < problem.num_free:
