@@ -211,6 +211,9 @@ def _met(
             break
         lever = (point_m[at, None] @ scale[plane])[:, 0]
         change = _solved(*_sums(row[plane], off_m, lever, inverse, begin, unknown, num))
+        if not np.isfinite(change).all():
+            # the points went further away in each round: these planes do not meet
+            break
         row[moves] -= (scale[moves] @ change[..., None])[..., 0]
         inverse, _ = _inverses(row[plane], at)
         off_m = (row[plane] * point_m[at]).sum(axis=1)

@@ -12,7 +12,7 @@ from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.roof.fitter import FittedRoof
-from p2wss.mesh import Mesh
+from p2wss.mesh import Mesh, meeting
 from p2wss.mesh.meeting import _solved, with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
 from p2wss.mesh.triangulation import triangulated_in_space
@@ -68,6 +68,14 @@ def test_roofs_far_from_each_other_are_as_alone() -> None:
         alone, _ = with_meeting_planes(house, np.arange(len(house.vertex_m)))
         assert np.abs(vertex_m - alone.vertex_m).max() < 1e-8
     assert (moved.vertex_m.reshape(40, -1, 3)[7] == houses[7].vertex_m).all()
+
+
+def test_planes_stay_finite_where_their_changes_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = hip()
+    bent_m = mesh.vertex_m + np.random.default_rng(0).uniform(-9e-3, 9e-3, mesh.vertex_m.shape) * [0, 0, 1]
+    monkeypatch.setattr(meeting, "_solved", lambda pair, share, right: np.full_like(right, np.nan))
+    moved, apart_m = with_meeting_planes(mesh.moved(bent_m), np.arange(len(bent_m)))
+    assert np.isfinite(moved.vertex_m).all() and apart_m.max() > 1e-4
 
 
 @pytest.mark.parametrize(("num", "num_links"), [(1, 0), (2, 1), (30, 25), (150, 400)])
