@@ -7,7 +7,7 @@ Needs footprints, which are not part of the project.
 Outlines: BD TOPO of Olemps (default: ../shared/data/olemps_bdtopo), or any vector file with polygons. Roofs: as scenes
 draw them, as the paper draws them, and angles from 0 to 90 degrees; the same with courtyards cut out; planes over the
 cells between random lines; and hard ones with planes that are nearly equal and lines that end millimetres beside
-corners. Each goes the way of the product (tests, repair, simpler roof) and is written to
+corners. Each goes the way of the product (exact faces, tests, simpler roof) and is written to
 CityJSON; the text is then tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
 product. The last line is JSON.
 """
