@@ -14,10 +14,9 @@ import numpy as np
 
 from p2wss.fit.planes.costs import Costs, Problem, beside, faces_of, is_step, side_m3, steps_m, total_m3
 from p2wss.fit.settings import PlanePrices
-from p2wss.skeleton.compiled import allocating, entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.half_edges import find
 
-# a function that gets a literal is compiled once more for it, so that constants here are numbers of numpy
 _MAX_ROUNDS = 4
 _GAIN_M3 = 1e-6
 # steps to a cell that no path reaches
@@ -37,7 +36,7 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
     """The same. middle_m: (c, 2). first_known: the first plane of those with which the search begins."""
     choice = _relabelled(problem, prices, first_known)
     if first_known > 0:
-        choice = _expanded(problem, prices, choice, np.int64(0))
+        choice = _expanded(problem, prices, choice, ZERO)
     choice = _with_fewer_faces(problem, prices, choice)
     label, slots = problem.number[choice], _slots(problem)
     length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
@@ -54,7 +53,7 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
         part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, np.bool_(True), slots)
         before_m3 = total_m3(part, prices, old)
         part.is_barred[lines == line] = True
-        new = _with_fewer_faces(part, prices, _relabelled(part, prices, np.int64(0)))
+        new = _with_fewer_faces(part, prices, _relabelled(part, prices, ZERO))
         if total_m3(part, prices, new) < before_m3 - _GAIN_M3:
             choice[cells], problem.is_barred[line] = origin[new[: len(cells)]], True
             label = problem.number[choice]
@@ -166,7 +165,7 @@ def _part(
         slots.is_around[problem.number[choice[cell]]] = True
     # of all cells the present planes, then those that may be chosen
     everything = np.concatenate((cells, around))
-    planes, num_planes, num_candidates = np.empty(len(slots.plane), np.int64), np.int64(0), num_around
+    planes, num_planes, num_candidates = np.empty(len(slots.plane), np.int64), ZERO, num_around
     for cell in everything:
         number = problem.number[choice[cell]]
         if slots.plane[number] < 0:
@@ -279,7 +278,7 @@ def _with_fewer_faces(problem: Problem, prices: PlanePrices, choice: np.ndarray)
             )
             if (part.first[1 : len(cells) + 1] == part.first[: len(cells)]).any():
                 continue
-            new = _relabelled(part, prices, np.int64(0))
+            new = _relabelled(part, prices, ZERO)
             if total_m3(part, prices, new) >= total_m3(part, prices, old) - _GAIN_M3:
                 continue
             choice[cells] = origin[new[: len(cells)]]
@@ -341,7 +340,7 @@ def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_p
         before = time
         for plane in range(first_plane, len(problem.plane)):
             own = problem.by_plane[problem.plane_first[plane] : problem.plane_first[plane + 1]]
-            cells, num, is_new = work.cells, np.int64(0), False
+            cells, num, is_new = work.cells, ZERO, False
             for t in own:
                 cell = problem.of_cell[t]
                 if cell < problem.num_free:
