@@ -12,7 +12,7 @@ from p2wss.skeleton.types import FaceKind
 # that turn by little are two, and rounded coordinates are off by less than the second
 _COPLANAR_M, _IN_WALL_M = 4e-3, 1.5e-3
 _SAME_WAY = 0.99
-_UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
+_UPRIGHT_NZ, LEVEL_NZ = 0.05, 0.9999
 _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
 
@@ -57,7 +57,7 @@ def _grown(
         elif z < 0:
             of_plane = _GROUND
         else:
-            of_plane = _FLAT if z > _LEVEL_NZ else _ROOF
+            of_plane = _FLAT if z > LEVEL_NZ else _ROOF
         most_m = _IN_WALL_M if of_plane == _WALL else _COPLANAR_M
         plane[seed], kind[seed] = number, of_plane
         pending[0], num_pending = seed, 1

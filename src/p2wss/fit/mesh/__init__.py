@@ -1,1 +1,1 @@
-"""From fitted parts to one closed mesh, and what adjusts it afterwards."""
+"""Meshes of fitted buildings that are not of planes, and the open ground of all."""

@@ -21,6 +21,7 @@ from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.planar import without_straight_vertices
+from p2wss.mesh.planes import LEVEL_NZ
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.types import FaceKind
@@ -36,8 +37,6 @@ _MEET_M, _MAX_MOVE_M = 0.06, 0.15
 # how much more exactly edges of the footprint, and lines on which planes meet, determine a vertex than steps do
 _FOOTPRINT_WEIGHT, _MEET_WEIGHT, _KEEP_WEIGHT = 100.0, 30.0, 1e-6
 _PARALLEL = 0.03
-# the tangent of the slope of a level roof
-_LEVEL = 0.014
 
 
 def solid_below(
@@ -49,11 +48,9 @@ def solid_below(
     label: numbers of planes, or :data:`OUTSIDE`. corner_m: (n, 2), corners of the footprint, which stay as they are.
     """
     borders = _Borders.of(cells, label, corner_m)
-    for is_exact in (True, False):
-        mesh = _Network(borders, plane, cells, is_exact).mesh()
-        if mesh is not None:
-            return mesh
-    return None
+    exact_m, wall = borders.exact_places(cells, plane)
+    meshes = (_Network(borders.face, wall, plane, place_m).mesh() for place_m in (exact_m, borders.xy_m))
+    return next((mesh for mesh in meshes if mesh is not None), None)
 
 
 def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np.ndarray) -> np.ndarray:
@@ -153,40 +150,22 @@ class _Borders:
                 beside[end] = beside[end] - {vertex} | {far}
                 pending.append(end)
 
-
-class _Network:
-    """Borders with the places and heights of their vertices. is_exact: whether these are where the lines around them
-    meet."""
-
-    def __init__(self, borders: _Borders, plane: np.ndarray, cells: Arrangement, is_exact: bool) -> None:
-        self._borders = borders
-        self._plane, self._coefficients = plane, plane.tolist()
-        self._face = dict(borders.face)
-        place_m, self._wall = self._exact_places(cells)
-        self._xy_m = [*(place_m if is_exact else borders.xy_m)]
-        self._divide_at_crossings()
-        self._vertices: list[tuple[float, float, float]] = []
-        self._number: dict[tuple[int, int], int] = {}
-        self._lift()
-
-    def _height(self, number: int, xy_m: np.ndarray) -> float:
-        a, b, c = self._coefficients[number]
-        return float(a * xy_m[0] + b * xy_m[1] + c)
-
-    def _exact_places(self, cells: Arrangement) -> tuple[np.ndarray, dict[tuple[int, int], tuple[int, ...]]]:
+    def exact_places(
+        self, cells: Arrangement, plane: np.ndarray
+    ) -> tuple[np.ndarray, dict[tuple[int, int], tuple[int, ...]]]:
         """(vertices (v, 2) where the lines around them meet, by least squares; by half-edge, what walls in one plane
         have in common: a line, or the two planes that meet there, and a side of it). All vertices along a line get the
         same one, so that walls stay planes when vertices within them are dropped."""
-        xy_m, face = self._borders.xy_m, self._face
+        xy_m, face = self.xy_m, self.face
         edges = [edge for edge in face if edge[0] < edge[1] or edge[::-1] not in face]
         edge = np.array(edges)
         is_outer = np.array([each[::-1] not in face for each in edges])
-        slope = np.array([self._plane[face[each]] - self._plane[face.get(each[::-1], 0)] for each in edges])
+        slope = np.array([plane[face[each]] - plane[face.get(each[::-1], 0)] for each in edges])
         fold = np.hypot(slope[:, 0], slope[:, 1])
         off_m = np.abs((xy_m[edge] * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
         is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
         normals, offsets_m = as_arrays(cells.lines)
-        line = np.array([self._borders.line[each] for each in edges])
+        line = np.array([self.line[each] for each in edges])
         is_edge = is_outer & (line < cells.num_edges)
         normal, offset_m = normals[line], offsets_m[line]
         normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
@@ -209,7 +188,7 @@ class _Network:
         place_m = np.linalg.solve(matrix, right_side[..., None])[..., 0]
         step_m = place_m - xy_m
         is_moved = np.hypot(step_m[:, 0], step_m[:, 1]) < _MAX_MOVE_M
-        is_moved[list(self._borders.fixed)] = False
+        is_moved[list(self.fixed)] = False
         # no side turns around
         is_back = np.ones(1, bool)
         while is_back.any():
@@ -217,6 +196,29 @@ class _Network:
             is_back = (np.diff(result_m[edge], axis=1)[:, 0] * ahead).sum(axis=1) < 0.0
             is_moved[edge[is_back]] = False
         return result_m, wall
+
+
+class _Network:
+    """Borders with the places and heights of their vertices. face: as in :class:`_Borders`. wall, place_m: see
+    :meth:`_Borders.exact_places`."""
+
+    def __init__(
+        self,
+        face: dict[tuple[int, int], int],
+        wall: dict[tuple[int, int], tuple[int, ...]],
+        plane: np.ndarray,
+        place_m: np.ndarray,
+    ) -> None:
+        self._face, self._wall, self._xy_m = dict(face), dict(wall), [*place_m]
+        self._plane, self._coefficients = plane, plane.tolist()
+        self._divide_at_crossings()
+        self._vertices: list[tuple[float, float, float]] = []
+        self._number: dict[tuple[int, int], int] = {}
+        self._lift()
+
+    def _height(self, number: int, xy_m: np.ndarray) -> float:
+        a, b, c = self._coefficients[number]
+        return float(a * xy_m[0] + b * xy_m[1] + c)
 
     def _divide_at_crossings(self) -> None:
         """Divides the edges along which two roofs change places as the higher one."""
@@ -259,7 +261,7 @@ class _Network:
         triangle = np.concatenate([level, walls]).astype(np.int32)
         if vertex_m[:, 2].min() < 0.0 or not is_closed(vertex_m, triangle):
             return None
-        is_level = np.hypot(*self._plane[:, :2].T) < _LEVEL
+        is_level = 1 / np.sqrt(1 + (self._plane[:, :2] ** 2).sum(axis=1)) > LEVEL_NZ
         # the last one is that of the floor
         kinds = np.append(np.where(is_level, FaceKind.FLAT, FaceKind.ROOF), FaceKind.GROUND)
         kind = np.append(kinds[number], np.full(len(walls), FaceKind.WALL)).astype(np.uint8)
