@@ -44,7 +44,8 @@ def training_lock(checkpoints: Path, patience_s: float = _PATIENCE_S) -> Iterato
     try:
         yield
     finally:
+        # before the next training begins; only an empty folder
+        with suppress(OSError):
+            checkpoints.rmdir()
         path.unlink(missing_ok=True)
         lock.release()
-        with suppress(OSError):  # only an empty folder
-            checkpoints.rmdir()
