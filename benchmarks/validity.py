@@ -35,7 +35,7 @@ from p2wss.data.building import Reconstruction  # noqa: E402
 from p2wss.footprints.cleaning import clean_footprints, read_footprints  # noqa: E402
 from p2wss.mesh.repair import surfaces_to_write  # noqa: E402
 
-COLUMNS = ("solids", "broken before", "mended", "simpler", "no mesh", "invalid", "without solid")
+COLUMNS = ("solids", "broken before", "simpler", "no mesh", "invalid", "without solid")
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo" / "BATIMENT.shp"
 
 
@@ -103,8 +103,6 @@ def main() -> int:
             count["no mesh"] += 1
         elif after.angle_deg is not before.angle_deg:
             count["simpler"] += 1
-        else:
-            count["mended"] += bool(found)
         if codes:
             count["invalid"] += 1
             invalid.append(f"{building.building_id}: {codes}")
