@@ -21,9 +21,10 @@ from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import Line, edges_of, ends_of, lines_of
 from p2wss.fit.planes.regularity import regular
-from p2wss.fit.planes.solid import at_pinch, solid_below
+from p2wss.fit.planes.solid import _Borders, at_pinch, solid_below
 from p2wss.fit.settings import Limits, Planes
 from p2wss.mesh import Mesh
+from p2wss.mesh.repair import surfaces_to_write
 from p2wss.mesh.topology import doubled_areas, is_closed, unit_normals
 from p2wss.skeleton import FaceKind
 
@@ -234,6 +235,25 @@ def test_faces_of_a_solid_are_those_of_its_planes_however_little_these_differ() 
     assert len(mesh.surfaces) == 7 and (mesh.num_planes_at >= 3).all()
     over = mesh.corner_m[mesh.kind == FaceKind.FLAT].mean(axis=1)
     np.testing.assert_allclose(over[:, 2], heights(plane, over[:, :2]).max(axis=1), atol=1e-12)
+
+
+def test_no_side_turns_around_where_its_ends_move_to_different_lines() -> None:
+    rectangle = np.array([[0, 0], [8, 0], [8, 7], [0, 7.0]])
+    cells = arrange(
+        [rectangle], [Line(np.array(n), o) for n, o in (([1.0, 0], 4), ([0, 1.0], 3.5), ([0, 1.0], 3.52))]
+    )
+    # the ridge on the left is drawn 4 cm beside where its planes meet, beyond the step on the right
+    plane = np.array([[0, 0.5, 4], [0, -0.5, 7.54], [0, 0, 3], [0, 0, 8.5]])
+    x, y = cells.middle_m.T
+    label = np.where(x < 4, (y > 3.5).astype(int), 2 + (y > 3.52))
+    borders = _Borders.of(cells, label, rectangle)
+    place_m, _ = borders.exact_places(cells, plane)
+
+    start, end = np.array([*borders.face]).T
+    before_m, after_m = (each[end] - each[start] for each in (borders.xy_m, place_m))
+    assert ((before_m * after_m).sum(axis=1) > 0).all()
+    mesh = solid_below(cells, label, plane, rectangle)
+    assert mesh is not None and mesh.is_closed and surfaces_to_write(mesh)[1] == []
 
 
 def test_a_border_a_millimetre_beside_a_corner_goes_through_it() -> None:
