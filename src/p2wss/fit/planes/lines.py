@@ -96,12 +96,10 @@ def lines_of(
             steps += _steps(sides, along, settings)
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
-    turned = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2, 2)
-    axes = turned.reshape(-1, 2)
+    axes = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2)
     by_x, by_label = (np.argsort(key, kind="stable") for key in (point_m[:, 0], label))
     begin = np.searchsorted(label[by_label], np.arange(len(plane) + 1))
-    place_m = point_m[:, :2] @ axes.T
-    sides_m = _extents(point_m, label, plane, axes, place_m, by_x, by_label, begin, settings.reach_m)
+    sides_m = _extents(point_m, label, plane, axes, by_x, by_label, begin, settings.reach_m)
     normals = axes.repeat(2, axis=0)
     steps += [Line(normal, *side) for normal, side in zip(normals, sides_m.tolist(), strict=True)]
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
@@ -186,7 +184,6 @@ def _extents(
     label: np.ndarray,
     plane: np.ndarray,
     axes: np.ndarray,
-    place_m: np.ndarray,
     by_x: np.ndarray,
     by_label: np.ndarray,
     begin: np.ndarray,
@@ -194,15 +191,15 @@ def _extents(
 ) -> np.ndarray:
     """(offset, low and high end of lines (4 k, 3)), two across each of the ``axes`` (2 k, 2), of which each plane has
     two: the sides of the rectangle around its points, without the strips along them that have more of the points off
-    the plane. place_m: (m, 2 k), of each point along each axis. by_x, by_label: the order of the points, and where
-    those of each plane ``begin`` (k + 1,)."""
+    the plane. by_x, by_label: the order of the points, and where those of each plane ``begin`` (k + 1,)."""
     result, x_m = np.empty((4 * len(plane), 3)), point_m[by_x, 0]
     own_m, other_m = np.empty((2, len(label))), np.empty((2, len(label)))
     for number in range(len(plane)):
         (cosine, sine), (a, b, c) = axes[2 * number], plane[number]
         num, num_others = 0, 0
         for row in by_label[begin[number] : begin[number + 1]]:
-            own_m[:, num], num = place_m[row, 2 * number : 2 * number + 2], num + 1
+            x, y = point_m[row, 0], point_m[row, 1]
+            own_m[0, num], own_m[1, num], num = x * cosine + y * sine, y * cosine - x * sine, num + 1
         for k in range(2):
             own_m[k, :num] = np.sort(own_m[k, :num])
         (left, bottom), (right, top) = own_m[:, 0], own_m[:, num - 1]
@@ -215,7 +212,7 @@ def _extents(
         for row in by_x[np.searchsorted(x_m, low_x) : np.searchsorted(x_m, high_x)]:
             x, y, z = point_m[row]
             if label[row] != number and low_y <= y <= high_y and abs(a * x + b * y + c - z) > _STEP_M:
-                u, v = place_m[row, 2 * number : 2 * number + 2]
+                u, v = x * cosine + y * sine, y * cosine - x * sine
                 if own_m[0, first] <= u <= own_m[0, last] and own_m[1, first] <= v <= own_m[1, last]:
                     other_m[0, num_others], other_m[1, num_others], num_others = u, v, num_others + 1
         for k in range(2):
