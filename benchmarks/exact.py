@@ -10,7 +10,7 @@ measured again. Only whether solids are valid is decided by code of the package.
 * A *fold* is an edge whose triangles turn by 0.1 to 5 degrees. One of a skin counts if the buildings by themselves have
   none at its place, or above it where a floor was lowered with its walls; between two buildings it may be true, as
   roofs of neighbours may differ by so little.
-* What coordinates in tenths of a millimetre explain counts neither as a fold nor as a tilt nor as a wrong angle.
+* What coordinates in hundredths of a millimetre explain counts neither as a fold nor as a tilt nor as a wrong angle.
 * A wall is *along the footprint* if it is turned by less than 0.1 degrees from an edge of the input beside it; walls
   away from the footprint do not count.
 """
@@ -46,7 +46,7 @@ VARIANTS = {"default": [], "--skin": ["--skin", "--wedges"], "detail: high": ["-
 STRICT = Tolerances(snap_m=1e-2, planar_m=1e-3, fold_deg=1.0)
 FOLD_DEG, TILT_DEG, ANGLE_DEG, ALONG_DEG, WEDGE_DEG = (0.1, 5.0), 0.01, 0.05, 0.1, 1.0
 # by which the rounding of coordinates may move a surface, and where two points or edges are one
-ROUNDED_M, SAME_M = 2e-4, 3e-3
+ROUNDED_M, SAME_M = 2e-5, 3e-3
 # roofs are less steep than this; one of Delft has 79 degrees
 STEEPEST_ROOF_NZ = 0.05
 # a wall's middle is nearer than this to the edge of the footprint beside it
@@ -273,13 +273,13 @@ def measure(name: str, footprints: Path, folders: dict[str, Path], figures: Figu
         else:
             triangles = row["triangles"]
             row |= measure_faces(one(folder, "*.city.json"), footprints)
-            for key, bar in (("tilted walls", 0), ("off the plane, mm", 0.2), ("invalid", 0)):
+            for key, bar in (("tilted walls", 0), ("off the plane, mm", 0.01), ("invalid", 0)):
                 figures.at_most(f"{title}, {key}", row[key], bar)
             figures.at_least(
                 f"{title}, wall area along the footprint", row["wall area along the footprint"], 0.92
             )
-        figures.at_most(f"{title}, slivers per building", row["slivers per building"], 0.3)
-        figures.at_least(f"{title}, shortest edge, mm", row["shortest edge, mm"], 30)
+        figures.at_most(f"{title}, slivers per building", row["slivers per building"], 0.03)
+        figures.at_least(f"{title}, shortest edge, mm", row["shortest edge, mm"], 50)
         figures.row(title, {key: round(float(value), 4) for key, value in row.items()})
 
 

@@ -34,7 +34,7 @@ def codes_of_text(text: str) -> dict[str, list[int]]:
     return result
 
 
-def codes(vertices: list[Any], shell: list[list[list[int]]], scale: float = 1e-4) -> list[int]:
+def codes(vertices: list[Any], shell: list[list[list[int]]], scale: float) -> list[int]:
     """The broken rules of a solid, sorted. vertices: integers in units of ``scale`` metres. shell: faces of rings."""
     xyz_m = np.array(vertices, float) * scale
     xyz_m -= xyz_m.min(axis=0)

@@ -141,7 +141,7 @@ def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> byt
         mesh = body.mesh
         lines.append(f"o {_word(body.name)}")
         lines += [f"# {name} {value:g}" for name, value in body.attributes.items()]
-        lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
+        lines += [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         material = None
         for faces in sorted(body.faces, key=lambda faces: faces.material):
             lines.append(f"# {faces.surface} {_word(faces.building_id)}")

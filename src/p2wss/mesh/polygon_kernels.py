@@ -7,7 +7,7 @@ import numpy as np
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.rings import is_inside, signed_area
 
-# nearer than this, edges and faces touch; files store coordinates in steps of a tenth of a millimetre
+# nearer than this, edges and faces touch; files store coordinates in steps of a hundredth of a millimetre
 TOUCH_M = 1e-5
 
 

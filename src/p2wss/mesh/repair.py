@@ -13,7 +13,7 @@ from p2wss.mesh.rules import WRITING, Breach, breaches
 from p2wss.mesh.topology import unique_rows
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
-SCALE_M = 1e-4
+SCALE_M = 1e-5
 
 
 def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:

@@ -52,8 +52,8 @@ class Tolerances:
     fold_deg: float = 20.0
 
 
-# the defaults of val3dity, and what we write: a little stricter, so that its rounding does not matter, and faces
-# nearly as planar as coordinates in tenths of a millimetre can be
+# the defaults of val3dity, and what we write: stricter, so that its rounding does not matter, and faces that are planar
+# but for a fifth of a millimetre
 VAL3DITY = Tolerances()
 WRITING = Tolerances(1.2e-3, 2e-4, 18.0)
 

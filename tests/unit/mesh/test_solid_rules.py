@@ -34,7 +34,7 @@ def check(vertex: list[tuple[float, ...]], shell: Shell) -> set[int]:
     grid = np.round(np.array(vertex, float) / SCALE_M).astype(np.int64)
     surfaces = [Surface(FaceKind.WALL, -1, [np.array(ring) for ring in rings]) for rings in shell]
     ours = {breach.code for breach in breaches(grid * SCALE_M, surfaces, VAL3DITY)}
-    theirs = set(solid_rules.codes([tuple(map(int, place)) for place in grid], shell))
+    theirs = set(solid_rules.codes([tuple(map(int, place)) for place in grid], shell, SCALE_M))
     assert ours == theirs
     assert ours <= set(MEANINGS)
     return ours
@@ -178,7 +178,7 @@ def roofs() -> list[Mesh]:
 def independent_codes(mesh: Mesh) -> list[int]:
     grid, surfaces = stored(mesh.vertex_m, surfaces_to_write(mesh)[0])
     shell = [[[int(v) for v in ring] for ring in surface.rings] for surface in surfaces]
-    return solid_rules.codes([tuple(map(int, place)) for place in grid], shell)
+    return solid_rules.codes([tuple(map(int, place)) for place in grid], shell, SCALE_M)
 
 
 def test_roofs_of_the_kernel_are_left_alone() -> None:

@@ -162,6 +162,15 @@ def test_walls_between_roofs_meet_if_they_are_a_little_apart() -> None:
     assert x_m[(x_m > 4) & (x_m < 6)] == pytest.approx(5.02, abs=0.021)
 
 
+def test_heights_that_differ_by_a_tenth_of_a_metre_are_one() -> None:
+    """Maps and tables round heights to tenths."""
+    (skin,) = skins(dict(solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.1 * k) for k in range(2)))
+    assert_closed(skin)
+    assert skin.mesh.vertex_m[:, 2] == pytest.approx(
+        np.where(skin.mesh.vertex_m[:, 2] > 1, 5.05, 0), abs=1e-9
+    )
+
+
 def test_some_steps_stay_where_vertices_would_move_too_far() -> None:
     steps = [solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.09 * k) for k in range(5)]
     (skin,) = skins(dict(steps))

@@ -16,12 +16,13 @@ from p2wss.reconstruction.skin.solids import faces_of, opposite_walls
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
-# steps between neighbours lower than this are none, and no vertex moves further
-MAX_STEP_M = 0.1
+# steps between neighbours lower than this are none, as heights are often stated in tenths of a metre, and no vertex
+# moves further
+MAX_STEP_M = 0.12
 # planes do not meet if they are further than this from their point
-_APART_M = 1e-4
-# planes of neighbours are one if they are turned by less, and no vertex of theirs is further from one through all
-_ONE_COSINE, _ONE_M = np.cos(np.radians(3.0)), 0.05
+_APART_M = 2e-4
+# planes of neighbours are one if they are turned by less, and none of their vertices is off one plane by a step
+_ONE_COSINE = np.cos(np.radians(3.0))
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
         for one, other in product(*(across[wall] for wall in pair))
         if not {beyond[one], beyond[other]} & party_walls
     }
-    found = {(step.vertices, step.planes): step for step in _one_planes(mesh, beside)}
+    found = {(step.vertices, step.planes): step for step in _one_planes(mesh, beside, max_step_m)}
     for pair in pairs:
         rings = [faces[wall].rings for wall in pair]
         corners = [[v for ring in each for v in ring if is_free[v]] for each in rings]
@@ -138,9 +139,11 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
     return list(found.values())
 
 
-def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -> list[_Step]:
-    """The planes of neighbours that are one but for centimetres. beside: the buildings of pairs of planes at common
-    walls."""
+def _one_planes(
+    mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]], max_off_m: float
+) -> list[_Step]:
+    """The planes of neighbours that are one but for centimetres: no vertex is further than ``max_off_m`` from the plane
+    of all. beside: the buildings of pairs of planes at common walls."""
     planes, (vertex, plane) = mesh.planes, mesh.at
     order = np.argsort(plane, kind="stable")
     point_m = dict(enumerate(np.split(mesh.vertex_m[vertex[order]], np.cumsum(np.bincount(plane))[:-1])))
@@ -164,7 +167,7 @@ def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -
         one, other = (_root(first, each) for each in step.planes)
         if one != other:
             together_m = np.concatenate([point_m[one], point_m[other]])
-            if off_plane_m(together_m, planes.kind[one]) < _ONE_M:
+            if off_plane_m(together_m, planes.kind[one]) < max_off_m:
                 result.append(step)
                 first[other], point_m[one] = one, together_m
     return result
