@@ -163,11 +163,11 @@ def test_walls_between_roofs_meet_if_they_are_a_little_apart() -> None:
 
 
 def test_heights_that_differ_by_a_tenth_of_a_metre_are_one() -> None:
-    """Maps and tables round heights to tenths."""
-    (skin,) = skins(dict(solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.1 * k) for k in range(2)))
+    """Maps and tables round heights to tenths; a centimetre more is noise."""
+    (skin,) = skins(dict(solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.11 * k) for k in range(2)))
     assert_closed(skin)
     assert skin.mesh.vertex_m[:, 2] == pytest.approx(
-        np.where(skin.mesh.vertex_m[:, 2] > 1, 5.05, 0), abs=1e-4
+        np.where(skin.mesh.vertex_m[:, 2] > 1, 5.055, 0), abs=1e-4
     )
 
 
