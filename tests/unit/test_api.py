@@ -181,6 +181,16 @@ def test_a_scene_is_drawn_by_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None
         scene.plot()
 
 
+def test_footprints_are_explored_on_a_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = p2wss.reconstruct(gable_points(), footprints()[:2], crs=2154, model="none", progress=False)
+    page = scene.explore("reason", tiles=None).get_root().render()
+    # degrees, as CRS of the map
+    assert '"building_id": "a"' in page and '"reason": "no-points"' in page and "leaflet" in page
+    monkeypatch.setitem(sys.modules, "folium", None)
+    with pytest.raises(p2wss.InputError, match=r"needs folium; type: pip install 'p2wss\[map\]'"):
+        scene.explore()
+
+
 def gable_points(x_m: float = 0.0) -> np.ndarray:
     """Points of a house of 10 by 6 metres at ``x_m`` and of the ground around it, with classes."""
     x, y = np.meshgrid(np.arange(-4, 14, 0.4), np.arange(-4, 10, 0.4))

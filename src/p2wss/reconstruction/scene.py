@@ -306,6 +306,16 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         chosen = self.values() if ids is None else [self[each] for each in ids]
         return picture.plot(chosen, view, axes)
 
+    @public
+    def explore(self, column: str = "status", **options: Any) -> Any:
+        """The footprints on a map of the web, with their attributes (the extra ``map``): a ``folium.Map``.
+
+        column: the attribute of :attr:`table` that colours them. options: of ``geopandas.GeoDataFrame.explore``.
+        """
+        import folium  # noqa: F401 (an ImportError of geopandas would not tell the extra)
+
+        return self.table.explore(column, **options)
+
     def explain(self, building_id: str) -> Explanation:
         """Why the roof of a building is as it is: ``print`` shows it as text, its ``plot()`` as a picture. The building
         is reconstructed once more.

@@ -26,6 +26,7 @@ EXTRAS = {
     "matplotlib": "report",
     "PIL": "report",
     "snakemake": "workflow",
+    "folium": "map",
 }
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 P = ParamSpec("P")
