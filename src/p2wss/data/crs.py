@@ -291,10 +291,12 @@ def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
     if all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info):
         return crs
     stated: dict[str, Any] = crs.to_json_dict()
-    for axis in stated["coordinate_system"]["axis"]:
+    # of a CRS that states a shift to another datum (TOWGS84), its source has the axes
+    flat = stated.get("source_crs", stated)
+    for axis in flat["coordinate_system"]["axis"]:
         axis["unit"] = "metre"
-    stated.pop("id", None)
-    stated["name"] = f"{crs.name} (metres)"
+    flat.pop("id", None)
+    flat["name"] = f"{crs.name} (metres)"
     result = pyproj.CRS.from_json_dict(stated)
     code = epsg_of(result.to_wkt(), 60)
     if code is None or not crs.is_projected:

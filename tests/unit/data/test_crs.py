@@ -83,6 +83,22 @@ def test_feet_without_a_twin_in_metres() -> None:
     assert target == pytest.approx(np.multiply(source, FOOT), abs=1e-4)
 
 
+@pytest.mark.parametrize("heights", ["", "+6360"])
+def test_feet_with_a_shift_to_another_datum(heights: str) -> None:
+    """WKT of version 1 with TOWGS84, as older programs write it, is a bound CRS, also within a compound one."""
+    wkt = NEW_YORK_FEET.to_wkt("WKT1_GDAL").replace(
+        '],AUTHORITY["EPSG","6269"]]', "],TOWGS84[1,2,3,0,0,0,0]]"
+    )
+    flat = pyproj.CRS.from_wkt(wkt)
+    assert flat.is_bound
+    source = pyproj.crs.CompoundCRS("city", [flat, pyproj.CRS("EPSG:6360")]) if heights else flat
+    metric, _ = metric_crs(source, None, "a.laz")
+    assert (metric.horizontal_m, metric.vertical_m) == pytest.approx((FOOT, FOOT))
+    assert {axis.unit_name for axis in metric.crs.axis_info} == {"metre"}
+    x, y = metric._transformer.transform(984_000.0, 200_000.0)
+    assert (x, y) == pytest.approx((984_000 * FOOT, 200_000 * FOOT), abs=1e-4)
+
+
 def test_terrain_in_feet_or_metres() -> None:
     metric, _ = metric_crs(NEW_YORK_FEET, None, "a.laz")
     terrain = Terrain(np.array([[100.0]], np.float32), 1000.0, 2000.0, 10.0)

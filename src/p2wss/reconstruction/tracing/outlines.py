@@ -67,7 +67,9 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
         raise InputError("no outlines: the cloud has no points")
     is_building = cloud.classification == BUILDING_CLASS
     if not is_building.any():
-        raise InputError("no outlines: the cloud has no points on buildings (class 6)")
+        raise InputError(
+            "no outlines: the cloud has no points on buildings (class 6); give footprints, or classify the points first"
+        )
     raster = rasterised(cloud, settings)
     traces = _block_traces(raster, settings)
     if not traces:
