@@ -18,7 +18,7 @@ from p2wss.skeleton.rings import crosses, is_inside
 from p2wss.skeleton.types import Polygons
 
 _CELL_M = 4.0
-_MAX_CELLS = 1 << 24
+_MAX_CELLS = 1 << 22
 
 
 class _Grid(NamedTuple):
@@ -32,8 +32,10 @@ class _Grid(NamedTuple):
 
 
 class _Sorted(NamedTuple):
-    """Points by cell, row by row: cell c has ``start[c]:start[c + 1]``. order: int32, their indices. x, y: float64."""
+    """Points by cell, row by row: the cell numbered c has ``start[c - 1]:start[c]``. number: int32 (rows, columns), of
+    the cells that a polygon needs, from 1 on. order: int32, their indices. x, y: float64."""
 
+    number: np.ndarray
     start: np.ndarray
     order: np.ndarray
     x: np.ndarray
@@ -107,22 +109,29 @@ def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, a
     among: bool (num_points,), mask of the points to consider; empty for all.
     """
     rows, columns = grid.rows, grid.columns
-    is_needed = np.zeros((rows, columns), np.bool_)
+    # houses of a valley are few in many cells
+    number = np.zeros((rows, columns), np.int32)
     for p in range(len(boxes)):
         for row in range(boxes[p, 2], boxes[p, 3] + 1):
             for column in range(boxes[p, 0], boxes[p, 1] + 1):
-                is_needed[row, column] = True
+                number[row, column] = 1
+    num_cells = ZERO
+    for row in range(rows):
+        for column in range(columns):
+            if number[row, column]:
+                num_cells += 1
+                number[row, column] = num_cells
     cell = np.empty(len(x), np.int32)
-    start = np.zeros(rows * columns + 1, np.int64)
+    start = np.zeros(num_cells + 1, np.int64)
     for i in range(len(x)):
         cell[i] = -1
         if len(among) and not among[i]:
             continue
         u, v = (x[i] - grid.low_x_m) / grid.cell_m, (y[i] - grid.low_y_m) / grid.cell_m
-        if 0 <= u < columns and 0 <= v < rows and is_needed[int(v), int(u)]:
-            cell[i] = int(v) * columns + int(u)
+        if 0 <= u < columns and 0 <= v < rows and number[int(v), int(u)]:
+            cell[i] = number[int(v), int(u)] - 1
             start[cell[i] + 1] += 1
-    for c in range(rows * columns):
+    for c in range(num_cells):
         start[c + 1] += start[c]
     order = np.empty(start[-1], np.int32)
     x_sorted, y_sorted = np.empty(start[-1]), np.empty(start[-1])
@@ -132,21 +141,20 @@ def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, a
             k = free[cell[i]]
             free[cell[i]] += 1
             order[k], x_sorted[k], y_sorted[k] = i, x[i], y[i]
-    return _Sorted(start, order, x_sorted, y_sorted)
+    return _Sorted(number, start, order, x_sorted, y_sorted)
 
 
 @entry
 def _crop(
     cells: _Sorted, grid: _Grid, boxes: np.ndarray, rings: _Rings, buffer_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    start, order, x, y = cells
+    number, start, order, x, y = cells
     xy, ring_offset, polygon_offset = rings
-    columns = grid.columns
     num_polygons = len(polygon_offset) - 1
     room, most_edges = 0, 1
     for p in range(num_polygons):
         for row in range(boxes[p, 2], boxes[p, 3] + 1):
-            room += start[row * columns + boxes[p, 1] + 1] - start[row * columns + boxes[p, 0]]
+            room += start[number[row, boxes[p, 1]]] - start[number[row, boxes[p, 0]] - 1]
         most_edges = max(most_edges, ring_offset[polygon_offset[p + 1]] - ring_offset[polygon_offset[p]])
     point, inside = np.empty(room, np.int32), np.empty(room, np.bool_)
     offset = np.zeros(num_polygons + 1, np.int64)
@@ -154,7 +162,7 @@ def _crop(
     n = 0
     for p in range(num_polygons):
         for row in range(boxes[p, 2], boxes[p, 3] + 1):
-            first, last = start[row * columns + boxes[p, 0]], start[row * columns + boxes[p, 1] + 1]
+            first, last = start[number[row, boxes[p, 0]] - 1], start[number[row, boxes[p, 1]]]
             if first == last:
                 continue
             # one cell more than needed on each side, in case of rounding at the borders of cells
