@@ -14,6 +14,9 @@ from p2wss.fit.settings import Detection
 from p2wss.skeleton.compiled import ZERO, both, entry, inner
 from p2wss.skeleton.nearest import nearest
 
+# a sum of scores in another order differs by less
+_ROUNDING = 1e-6
+
 
 @dataclass(frozen=True)
 class RoofPlanes:
@@ -237,7 +240,8 @@ def _largest(
     # of very many points, some that showed nothing
     is_tried = np.zeros(num, np.bool_)
     while True:
-        free = np.flatnonzero((label < 0) & ~is_tried)
+        left = np.flatnonzero(label < 0)
+        free = left[~is_tried[left]]
         num_seeds = max(1, min(settings.num_seeds, settings.max_seed_points // max(len(free), 1)))
         best_score, best_count = 0.0, ZERO
         seeds = free[:: len(free) // num_seeds + 1]
@@ -259,6 +263,13 @@ def _largest(
                     point_m[seed, 2] - a * point_m[seed, 0] - b * point_m[seed, 1],
                     np.sqrt(1 + a**2 + b**2),
                 )
+                # all that is near to the plane, connected or not, is rarely more than the best has
+                k, score, scale = 0, _ROUNDING, 1 / (length * settings.distance_m) ** 2
+                while k < len(left) and score <= best_score:
+                    off_m = a * point_m[left[k], 0] + b * point_m[left[k], 1] + c - point_m[left[k], 2]
+                    k, score = k + 1, score + max(1.0 - off_m * off_m * scale, 0.0)
+                if score <= best_score:
+                    continue
                 num_trials += 1
                 rows[0], count, seen[seed], reached, score = seed, 1, num_trials, 0, 1.0
                 while reached < count:
