@@ -89,9 +89,10 @@ class Mesh:
 
     def part(self, rows: np.ndarray | slice) -> Mesh:
         """The mesh of some of the triangles, by mask, number or slice, without vertices that they do not use."""
-        used, triangle = np.unique(self.triangle[rows], return_inverse=True)
-        triangle = triangle.reshape(-1, 3).astype(self.triangle.dtype)
-        return Mesh(self.vertex_m[used], triangle, self.kind[rows], self.label[rows])
+        triangle = self.triangle[rows]
+        is_used = np.bincount(triangle.ravel(), minlength=len(self.vertex_m)) > 0
+        number = np.cumsum(is_used, dtype=triangle.dtype) - 1
+        return Mesh(self.vertex_m[is_used], number[triangle], self.kind[rows], self.label[rows])
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """The mesh for trimesh, with the attributes of its faces ``kind`` and ``label``."""
@@ -103,7 +104,7 @@ class Mesh:
     @cached_property
     def corner_m(self) -> np.ndarray:
         """(t, 3, 3), the corners of the triangles."""
-        return np.asarray(self.vertex_m[self.triangle])
+        return self.vertex_m.take(self.triangle, 0)
 
     @cached_property
     def doubled_m2(self) -> np.ndarray:
@@ -113,7 +114,7 @@ class Mesh:
     @cached_property
     def area_m2(self) -> np.ndarray:
         """(t,), of the triangles."""
-        return np.linalg.norm(self.doubled_m2, axis=1) / 2
+        return topology.lengths(self.doubled_m2) / 2
 
     @cached_property
     def volume_m3(self) -> float:
@@ -165,7 +166,7 @@ class Mesh:
     @cached_property
     def edge_m(self) -> np.ndarray:
         """(t, 3), the lengths of the sides of the triangles."""
-        return np.asarray(np.linalg.norm(self.corner_m - self.corner_m[:, NEXT], axis=2))
+        return topology.lengths(self.corner_m - self.corner_m.take(NEXT, 1))
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,7 @@ class Planes:
         kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
         normal[kind == FaceKind.WALL, 2] = 0.0
-        twice_m2 = np.linalg.norm(normal, axis=1)
+        twice_m2 = topology.lengths(normal)
         normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         return cls(kind, normal, twice_m2 / 2)
 

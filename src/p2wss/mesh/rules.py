@@ -14,7 +14,7 @@ import numpy as np
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.topology import NEXT, twins, unit_normals
+from p2wss.mesh.topology import NEXT, crossed, twins, unit_normals
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import cross, next_in_ring
@@ -91,7 +91,7 @@ def breaches(
     if code == 0 and crosses_itself(faces.vertex_m, triangle):
         code = 306
     if code == 0:
-        volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
+        volume = np.einsum("ij,ij->", corner[:, 0], crossed(corner[:, 1], corner[:, 2]))
         code = 0 if (volume > 0) == is_outer else 405
     return [Breach(code)] if code else []
 
@@ -173,10 +173,10 @@ def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray
 def shell_code(triangle: np.ndarray) -> int:
     """The first rule that the triangles (t, 3) break as a closed, manifold, oriented surface of one part, or 0."""
     triangle = np.asarray(triangle, np.int64)
-    if (triangle == triangle[:, NEXT]).any():
+    if (triangle == triangle.take(NEXT, 1)).any():
         return 303
     size = int(triangle.max(initial=-1)) + 1
-    start, end = triangle.ravel(), triangle[:, NEXT].ravel()
+    start, end = triangle.ravel(), triangle.take(NEXT, 1).ravel()
     if len(np.unique(start * size + end)) < len(start):
         sides = np.minimum(start, end) * size + np.maximum(start, end)
         return 303 if (np.unique(sides, return_counts=True)[1] > 2).any() else 307

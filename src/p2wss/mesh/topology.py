@@ -18,7 +18,7 @@ def twins(triangle: np.ndarray) -> np.ndarray:
 
     Half-edge 3 t + k is side k of triangle t, from its corner k to the next.
     """
-    start, end = triangle.astype(np.int64).ravel(), triangle[:, NEXT].astype(np.int64).ravel()
+    start, end = triangle.astype(np.int64).ravel(), triangle.take(NEXT, 1).astype(np.int64).ravel()
     return reverses(start, end).reshape(-1, 3)
 
 
@@ -34,15 +34,23 @@ def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 def doubled_areas(corner_m: np.ndarray) -> np.ndarray:
     """(t, 3), normals as long as twice the area of the triangles (t, 3, 3)."""
-    u, v = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]
-    # numpy's own function takes three times as long for a few triangles
-    return np.asarray(u[:, [1, 2, 0]] * v[:, [2, 0, 1]] - u[:, [2, 0, 1]] * v[:, [1, 2, 0]])
+    return crossed(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+
+
+def crossed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The cross products (n, 3) of vectors in space; numpy's own function takes three times as long for a few."""
+    return np.asarray((one * other.take(NEXT, 1) - one.take(NEXT, 1) * other).take(NEXT, 1))
+
+
+def lengths(vector: np.ndarray) -> np.ndarray:
+    """The lengths of vectors, which are along the last axis: those of numpy's function, sooner for a few."""
+    return np.asarray(np.sqrt((vector * vector).sum(axis=-1)))
 
 
 def unit_normals(corner_m: np.ndarray) -> np.ndarray:
     """(t, 3), the unit normals of triangles (t, 3, 3)."""
     normal = doubled_areas(corner_m)
-    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    return normal / np.maximum(lengths(normal), 1e-300)[:, None]
 
 
 def doubled_plan_areas(corner_m: np.ndarray) -> np.ndarray:
@@ -107,9 +115,9 @@ def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
     distinguish."""
     corner = unique_rows(np.rint(vertex_m / _WELD_M))[1][triangle]
-    corner = corner[(corner != corner[:, NEXT]).all(axis=1)]
+    corner = corner[(corner != corner.take(NEXT, 1)).all(axis=1)]
     size = len(vertex_m)
-    start, end = corner.ravel(), corner[:, NEXT].ravel()
+    start, end = corner.ravel(), corner.take(NEXT, 1).ravel()
     forward, back = np.sort(start * size + end), np.sort(end * size + start)
     return bool(len(forward) and (forward[1:] > forward[:-1]).all() and (forward == back).all())
 

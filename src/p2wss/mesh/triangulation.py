@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
-from p2wss.mesh.topology import doubled_plan_areas
+from p2wss.mesh.topology import crossed, doubled_plan_areas, lengths
 
 
 def triangulated(
@@ -38,9 +38,9 @@ def triangulated_in_space(
     rings = [ring for face in faces for ring in face]
     face_of_ring = np.repeat(np.arange(len(faces)), list(map(len, faces)))
     corner, ring = np.concatenate(rings), np.repeat(np.arange(len(rings)), list(map(len, rings)))
-    across = np.cross(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
+    across = crossed(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
     # a face without area has no normal, and its corners are in one place, which is no polygon
-    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-    axes = np.stack([across, np.cross(normal, across)], axis=1)[face_of_ring[ring]]
+    across /= np.maximum(lengths(across), 1e-300)[:, None]
+    axes = np.stack([across, crossed(normal, across)], axis=1)[face_of_ring[ring]]
     place_m = (axes @ (point_m[corner] - point_m[0])[..., None])[..., 0]
     return triangulated(place_m, corner, ring, face_of_ring)
