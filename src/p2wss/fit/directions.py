@@ -33,7 +33,8 @@ def directions(rings: Sequence[np.ndarray], same_deg: float) -> list[float]:
     while len(length):
         turn = turn_between(angle, angle[length.argmax()])
         same = np.abs(turn) <= np.radians(same_deg)
-        mean = angle[length.argmax()] + np.average(turn[same], weights=length[same])
-        found.append((float(length[same].sum()), float(mean)))
+        sum_m = length[same].sum()
+        mean = angle[length.argmax()] + (turn[same] * length[same]).sum() / sum_m
+        found.append((float(sum_m), float(mean)))
         angle, length = angle[~same], length[~same]
     return [angle for _, angle in sorted(found, key=lambda each: -each[0])]

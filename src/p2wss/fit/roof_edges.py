@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.fit.directions import edge_ends
 from p2wss.fit.points import median
 from p2wss.skeleton import ordering
 from p2wss.skeleton.compiled import ZERO, both, entry
@@ -75,7 +76,7 @@ def move_walls(
     if max_shift_m < RULES.min_shift_m or len(roof_point_m) < RULES.min_points:
         return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
-    after = np.roll(ring, -1, axis=0)
+    after = edge_ends([ring])[:, 1]
     shift_m = np.zeros(len(ring))
     for i, ends in enumerate(zip(ring, after, strict=True)):
         if _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
@@ -97,7 +98,7 @@ def move_walls(
 def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndarray:
     """The ring (n, 2) after its edges have moved inwards by ``shift_m`` (n,), none of which turns. An edge stays where
     it would move a corner by more than ``most_m``, or leave hardly anything of an edge."""
-    after = np.roll(ring, -1, axis=0)
+    after = edge_ends([ring])[:, 1]
     length = np.linalg.norm(after - ring, axis=1)
     along = (after - ring) / np.maximum(length, _LEAST_M)[:, None]
     inward = np.column_stack([-along[:, 1], along[:, 0]])
@@ -109,7 +110,7 @@ def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndar
             if abs(np.linalg.det(matrix)) < RULES.min_turn:
                 shifts = np.full(2, shifts.min())
             moved[i] += np.linalg.lstsq(matrix, shifts)[0]
-        remaining = ((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1)
+        remaining = ((edge_ends([moved])[:, 1] - moved) * along).sum(axis=1)
         too_short = np.flatnonzero(remaining <= np.minimum(RULES.min_remaining_m, 0.5 * length))
         too_far = np.flatnonzero(np.linalg.norm(moved - ring, axis=1) > most_m)
         stays = np.concatenate([too_short - 1, too_short, too_short + 1, too_far - 1, too_far]) % len(ring)
@@ -131,7 +132,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     result = np.full(len(ring), np.nan)
     if min(len(building_m), len(ground_m)) < RULES.min_points:
         return result
-    after = np.roll(ring, -1, axis=0)
+    after = edge_ends([ring])[:, 1]
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) >= RULES.min_edge_m).tolist():
         start, end = ring[i], after[i]
         ground_depth_m = _beside(start, end, ground_m)[1]
@@ -162,8 +163,8 @@ def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.nd
     is_known = np.isfinite(overhang_m)
     if not is_known.any():
         return float("nan")
-    length_m = np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)
-    return float(np.average(overhang_m[is_known], weights=length_m[is_known]))
+    length_m = np.hypot(*(edge_ends([ring])[:, 1] - ring).T)
+    return float((overhang_m * length_m)[is_known].sum() / length_m[is_known].sum())
 
 
 def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:

@@ -183,11 +183,12 @@ def _geometry(
         return None
     grid = grid - np.round(translate / SCALE_M).astype(np.int64)
     # a vertex within a face is in no ring
-    used = sorted({int(vertex) for surface in surfaces for ring in surface.rings for vertex in ring})
+    rings = [[ring.tolist() for ring in surface.rings] for surface in surfaces]
+    used = sorted({vertex for of_surface in rings for ring in of_surface for vertex in ring})
     known = {tuple(vertex): position for position, vertex in enumerate(vertices)}
-    number = {}
+    number, places = {}, grid.tolist()
     for vertex in used:
-        place = grid[vertex].tolist()
+        place = places[vertex]
         number[vertex] = known.setdefault(tuple(place), len(vertices))
         if number[vertex] == len(vertices):
             vertices.append(place)
@@ -207,7 +208,7 @@ def _geometry(
     return {
         "type": "Solid",
         "lod": lod,
-        "boundaries": [[[[number[int(v)] for v in ring] for ring in surface.rings] for surface in surfaces]],
+        "boundaries": [[[[number[vertex] for vertex in ring] for ring in each] for each in rings]],
         "semantics": {"surfaces": semantics, "values": [values]},
     }
 

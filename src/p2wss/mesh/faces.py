@@ -55,6 +55,8 @@ def surfaces_of(
 
 def simple_rings(ring: list[int]) -> list[np.ndarray]:
     """A ring as rings none of which visits a vertex twice."""
+    if len({*ring}) == len(ring):
+        return [np.array(ring)]
     rings: list[np.ndarray] = []
     path: list[int] = []
     position: dict[int, int] = {}

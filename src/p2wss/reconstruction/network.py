@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-import shapely
 
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
@@ -78,7 +77,6 @@ def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
     result = []
     for building in buildings:
         roof_m = building.point_m[building.is_on_building]
-        roof_m = roof_m[shapely.contains_xy(building.polygon, *roof_m[:, :2].T)]
         has_planes = len(roof_m) + len(building.around_m) >= THRESHOLDS.min_plane_points
         if has_planes and MIN_NUM_POINTS <= len(roof_m) < THRESHOLDS.known_per_m2 * building.polygon.area:
             supposed_m = supposed_roof(building.polygon, roof_m, building.around_m)

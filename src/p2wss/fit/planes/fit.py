@@ -237,6 +237,8 @@ def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane:
     """The labels (c,) after cells where four walls would share an upright edge have got planes of those beside them, as
     cheaply as possible."""
     pending = at_pinch(cells, label, plane, np.arange(len(cells.side))).tolist()
+    if not pending:
+        return label
     label, sides_at, sides_of = label.copy(), by_member(cells.side), by_member(cells.pair)
     while pending:
         place = pending.pop()

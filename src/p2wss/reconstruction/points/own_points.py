@@ -114,12 +114,16 @@ def _theirs(
     if core.is_empty or not (is_high & ~inside).any():
         return result
     inner = polygon.buffer(-RULES.band_m)
-    within, deep_within, beside_core = (
-        shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
-        for each in (polygon.buffer(-strip_m), inner, core.buffer(2 * strip_m))
-    )
-    own = is_solid & inside & ~deep_within
-    is_near = own & ~within & beside_core
+
+    def within(area: shapely.Polygon, mask: np.ndarray) -> np.ndarray:
+        result = mask.copy()
+        result[mask] = shapely.contains_xy(area, point_m[mask, 0], point_m[mask, 1])
+        return result
+
+    own = is_solid & inside
+    own &= ~within(inner, own)
+    is_near = within(core.buffer(2 * strip_m), own)
+    is_near &= ~within(polygon.buffer(-strip_m), is_near)
     is_deep = own & ~is_near
     if not is_near.any():
         return result

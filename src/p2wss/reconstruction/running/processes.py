@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import logging
 import os
 import pickle
@@ -197,6 +198,9 @@ class _Fork(Generic[T]):
     def _send(self, results: Iterable[tuple[int, Any]], sender: Connection) -> None:
         self.receiver.close()
         faulthandler.enable(self._stack, all_threads=False)
+        # searching what it has in common with the first process would copy that; of its own, hardly anything is garbage
+        gc.freeze()
+        gc.set_threshold(50_000)
         # without a reader, the pipe of a process that was killed is broken, and this one ends
         with suppress(KeyboardInterrupt, BrokenPipeError):
             try:
