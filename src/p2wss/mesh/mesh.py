@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 # a plane is upright, or faces upwards, by the z of its normal
 _UPRIGHT_NZ = 0.05
+# what follows from the triangles and labels alone, and what still holds if each face gets a label of its own
 _CONNECTION = ("twin", "face", "surfaces", "number", "at")
+_SHAPE = ("corner_m", "doubled_m2", "area_m2", "twin", "face", "is_closed", "edge_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +76,15 @@ class Mesh:
 
     def moved(self, vertex_m: np.ndarray) -> Mesh:
         """The same triangles with other places of the vertices, (v, 3), which turn no face over."""
-        result = replace(self, vertex_m=vertex_m)
-        # what follows from the triangles alone
-        vars(result).update({name: vars(self)[name] for name in _CONNECTION if name in vars(self)})
+        return self._with(_CONNECTION, vertex_m=vertex_m)
+
+    def of_faces(self) -> Mesh:
+        """The same triangles with a label for each face: what is apart is of two planes then."""
+        return self._with(_SHAPE, label=self.face.astype(np.int32))
+
+    def _with(self, kept: Sequence[str], **changes: np.ndarray) -> Mesh:
+        result = replace(self, **changes)
+        vars(result).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return result
 
     def translated(self, by_m: Sequence[float] | np.ndarray) -> Mesh:

@@ -92,9 +92,10 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
         return mesh
     triangle, face = triangulated_in_space(mesh.vertex_m, rings, mesh.planes.normal[mesh.number[first]])
     result = Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
+    result = result.part(slice(None))
     # each vertex within an edge was a corner of two triangles more than are left without it
     is_whole = len(triangle) == len(mesh.triangle) - 2 * np.count_nonzero(~stays)
-    return result.part(slice(None)) if is_whole and result.is_closed else mesh
+    return result if is_whole and result.is_closed else mesh
 
 
 def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collection[int] = ()) -> Mesh | None:

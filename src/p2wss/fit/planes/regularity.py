@@ -36,7 +36,8 @@ def regular(
             result[i] = level
             continue
         bearing = bearings(plane[:2])
-        turn = min((turn_between(bearing, angle) for angle in along), key=abs)
+        turns = turn_between(bearing, np.array(along))
+        turn = turns[np.abs(turns).argmin()]
         if abs(turn) < _NEARLY_ALONG:
             turned = _along(own, bearing - turn, settings.noise_m)
             if mean_m(turned, i) < most_m:

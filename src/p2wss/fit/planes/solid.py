@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -266,9 +266,8 @@ class _Network:
         kinds = np.append(np.where(is_level, FaceKind.FLAT, FaceKind.ROOF), FaceKind.GROUND)
         kind = np.append(kinds[number], np.full(len(walls), FaceKind.WALL)).astype(np.uint8)
         mesh = Mesh(vertex_m, triangle, kind, np.append(number, len(kinds) + wall).astype(np.int32))
-        mesh = without_straight_vertices(mesh.part(slice(None)))
         # what is apart may move apart
-        return replace(mesh, label=mesh.face.astype(np.int32))
+        return without_straight_vertices(mesh.part(slice(None))).of_faces()
 
     def _rings(self, face: dict[tuple[int, int], int]) -> Iterator[tuple[int, list[int]]]:
         """(plane, places) of closed walks that have the face to their left."""
