@@ -87,10 +87,13 @@ def shaft_points(
     Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
     """
     low_m = point_m[~has_class(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
+    if (
+        shapely.contains_xy(polygon, low_m[:, 0], low_m[:, 1]).sum() < _MIN_LOW_POINTS
+        or len(roof_m) < _NUM_BESIDE
+    ):
+        return np.zeros((0, 3))
     within = polygon.buffer(-inside_m)
     low_m = low_m[shapely.contains_xy(within, low_m[:, 0], low_m[:, 1])]
-    if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
-        return np.zeros((0, 3))
     _, beside = nearest(roof_m[:, :2], low_m[:, :2], _NUM_BESIDE)
     low_m = low_m[low_m[:, 2] < roof_m[beside, 2].min(axis=1) - _BELOW_ROOF_M]
     if len(low_m) < _MIN_LOW_POINTS:

@@ -6,6 +6,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from p2wss.clouds import cropping
 from p2wss.clouds.cropping import crop_points, seen_share
 from p2wss.data.polygon_arrays import to_polygons
 
@@ -95,6 +96,24 @@ def test_the_order_of_the_points_changes_only_their_indices():
     np.testing.assert_array_equal(offset, same)
     for p in range(len(polygons)):
         assert set(point[offset[p] : offset[p + 1]]) == set(shuffle[again[offset[p] : offset[p + 1]]])
+
+
+def test_scattered_buildings_need_no_cells_between_them(monkeypatch):
+    """Such as 41 of a city, whose points were sorted into 16 million cells."""
+    sizes, sort_points = [], cropping._sort_points
+
+    def sorted_points(*arguments):
+        result = sort_points(*arguments)
+        sizes.append(len(result.start))
+        return result
+
+    monkeypatch.setattr(cropping, "_sort_points", sorted_points)
+    rng = np.random.default_rng(5)
+    corner = rng.uniform(0, 20_000, (20, 2))
+    shapes = [shapely.box(x, y, x + 9, y + 7) for x, y in corner.tolist()]
+    x, y = (corner[:, None] + rng.uniform(-4, 12, (20, 300, 2))).reshape(-1, 2).T.copy()
+    assert check(x, y, shapes, 1.0) > 1000
+    assert sizes[0] < 50_000
 
 
 def test_empty_polygons_and_no_points():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from places import SHARED
 
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.data.las_classes import LAS, PRESETS, class_set
-from p2wss.reconstruction.points.unclassified import with_classes
+from p2wss.reconstruction.points.unclassified import filled, ground_z_m, with_classes
 
 DELFT = SHARED / "data" / "delft_ahn3" / "ahn3.laz"
 
@@ -60,6 +62,27 @@ def test_classes_of_the_producer_stay() -> None:
         assert (
             with_classes(replace(cloud, classification=classes))[0].classification[truth == 6] == number
         ).all()
+
+
+def test_ground_is_that_of_the_nearest_cell_and_takes_no_images_of_scipy() -> None:
+    """Of equally near cells, it is that of the one which the transform of :func:`filled` takes."""
+    draw = np.random.default_rng(1)
+    for _ in range(50):
+        x, y, z = draw.uniform(0, 25, (3, 150))
+        is_ground = np.append(True, draw.uniform(size=149) < 0.2)
+        cloud = Cloud(x, y, z, np.where(is_ground, 2, 1).astype(np.uint8), None)
+        row, column = (np.floor(each).astype(int) - int(each.min()) for each in (y, x))
+        cells = np.full((row.max() + 1, column.max() + 1), np.nan)
+        for at in set(zip(row[is_ground], column[is_ground], strict=True)):
+            cells[at] = np.mean(z[is_ground & (row == at[0]) & (column == at[1])])
+        np.testing.assert_allclose(ground_z_m(cloud), filled(cells)[row, column], rtol=1e-12)
+    code = (
+        "import sys, numpy as np; from p2wss.clouds.reading import Cloud;"
+        "from p2wss.reconstruction.points.unclassified import with_classes;"
+        "x = np.arange(9.0); cloud = Cloud(x, x, x, np.array([2] * 5 + [1] * 4, np.uint8), None);"
+        "assert with_classes(cloud)[1]; assert 'scipy.ndimage' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_without_points_there_is_nothing_to_tell() -> None:
