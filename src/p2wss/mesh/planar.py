@@ -42,9 +42,11 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     kept = set()
     while result is not None:
         mesh, result = result, None
-        num_thin = _is_thin(mesh).sum()
         edge_m = mesh.edge_m.ravel()
-        rows, floor = np.flatnonzero(edge_m < short_m), mesh.triangle[mesh.kind == FaceKind.GROUND]
+        rows = np.flatnonzero(edge_m < short_m)
+        if not len(rows):
+            break
+        num_thin, floor = _is_thin(mesh).sum(), mesh.triangle[mesh.kind == FaceKind.GROUND]
         span = int(mesh.label.max(initial=0)) + 1
         pair = np.unique(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
         begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
@@ -155,8 +157,9 @@ def _same_places(place_m: np.ndarray, old_m: np.ndarray, number: np.ndarray, fir
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:
     """Whether the mesh stays a manifold if the two ends of an edge become one vertex."""
     at_end, at_gone = (mesh.triangle == end).any(axis=1), (mesh.triangle == gone).any(axis=1)
-    common = np.intersect1d(mesh.triangle[at_end], mesh.triangle[at_gone])
-    return (at_end & at_gone).sum() == 2 and len(common) == 4
+    one, other = (np.bincount(mesh.triangle[at].ravel()) for at in (at_end, at_gone))
+    num_common = np.count_nonzero(one[: len(other)] * other[: len(one)])
+    return bool((at_end & at_gone).sum() == 2 and num_common == 4)
 
 
 def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
