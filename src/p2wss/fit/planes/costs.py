@@ -25,6 +25,8 @@ _LOWEST_M, FORBIDDEN_M3 = 0.3, 1e4
 # planes have a border, and twice as far as any point; at most so many, the nearest
 _REACH, _MAX_CANDIDATES = 2.0, 32
 _UNSEEN_REACH = 2.0
+# the middles of the four quarters of a square
+_QUARTERS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
 
 
 class Problem(NamedTuple):
@@ -104,6 +106,7 @@ def costs_of(
     """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
     stands_m2: (m,), the area that each point stands for. candidates: of :func:`candidates_of`. num_known: the last
     planes, of a known roof."""
+    point_m, of_cell, stands_m2 = _spread(cells, point_m, of_cell, stands_m2)
     order = np.argsort(of_cell, kind="stable")
     order = order[np.searchsorted(of_cell[order], 0) :]
     begin = np.searchsorted(of_cell[order], np.arange(len(cells.area_m2) + 1))
@@ -132,6 +135,26 @@ def costs_of(
         ),
         prices,
         cells.middle_m,
+    )
+
+
+def _spread(
+    cells: Arrangement, point_m: np.ndarray, of_cell: np.ndarray, stands_m2: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(points, their cells, the areas that they stand for), where a point that stands for more than its cell is four:
+    in the cells at the middles of the quarters of the square that it stands for. So no single point of a sparse cloud
+    pays for a tower of the width of a hand."""
+    is_wide = (of_cell >= 0) & (stands_m2 > cells.area_m2[of_cell])
+    quarter_m = point_m[is_wide, None, :2] + np.sqrt(stands_m2[is_wide, None, None]) * _QUARTERS
+    place = cells.cells_at(quarter_m.reshape(-1, 2))
+    own, four_m, quarter_m2 = (
+        np.repeat(each[is_wide], len(_QUARTERS), axis=0)
+        for each in (of_cell, point_m, stands_m2 / len(_QUARTERS))
+    )
+    return (
+        np.concatenate([point_m[~is_wide], four_m]),
+        np.concatenate([of_cell[~is_wide], np.where(place < 0, own, place)]),
+        np.concatenate([stands_m2[~is_wide], quarter_m2]),
     )
 
 

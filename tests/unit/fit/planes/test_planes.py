@@ -736,6 +736,21 @@ def test_a_point_far_off_costs_as_much_as_one_metre(per_m2: float) -> None:
     assert costs.problem.cell_m3 == pytest.approx(1 / per_m2)
 
 
+def test_a_point_in_a_cell_without_width_does_not_pay_for_a_tower() -> None:
+    """A bird above a roof with one point per m2, in a cell of 10 cm: most of what the point stands for is beside it."""
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    strip = [Line((1.0, 0.0), 4.95), Line((1.0, 0.0), 5.05), Line((0.0, 1.0), 4.95), Line((0.0, 1.0), 5.05)]
+    cells = arrange([square], strip)
+    xy_m = np.stack(np.meshgrid(np.arange(10.0) + 0.4, np.arange(10.0) + 0.4), axis=-1).reshape(-1, 2)
+    point_m = np.vstack([np.column_stack([xy_m, np.full(100, 3.0)]), [5.0, 5.0, 11.0]])
+    plane, of_cell = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 11.0]]), cells.cells_at(point_m[:, :2])
+    candidates = 2 * np.arange(len(cells.area_m2) + 1), np.tile([0, 1], len(cells.area_m2))
+    costs = costs_of(cells, plane, point_m, of_cell, np.ones(101), PLANES.prices, candidates)
+    assert cells.area_m2.min() == pytest.approx(0.01)
+    assert (least_cost(costs) == 0).all()
+    assert costs.problem.cell_m3[::2].sum() == pytest.approx(1.0)
+
+
 def test_points_around_show_how_high_roofs_are_where_few_are_on_the_building() -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     cells, plane = arrange([square], []), np.array([[1.0, 0.0, 3.0]])
