@@ -88,7 +88,7 @@ class Detection(NamedTuple):
     # than the next figure in metres
     angle_deg: float = 25.0
     rough_m: float = 0.1
-    # a plane has this area of points, and this many
+    # a plane has this area of points, on its slope, and this many
     min_area_m2: float = 1.0
     min_points: int = 8
     # per square metre: fewer points are sparse, and the surface around one of them shows nothing

@@ -126,6 +126,13 @@ def _distance(plane: np.ndarray, point: np.ndarray) -> float:
     return abs(off) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
 
 
+@inner
+def _fewest(plane: np.ndarray, min_points: int, settings: Detection) -> int:
+    """How many points a plane has at least: those of the smallest area on its slope, of which a plan shows less."""
+    on_slope = int(min_points / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2))
+    return max(min(min_points, settings.min_points), on_slope)
+
+
 @entry
 def _surfaces(point_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The normals (m, 3) of the surface around each point, upwards, and how rough it is (m,): the standard deviation of
@@ -186,7 +193,7 @@ def _grown(
     """(planes (k, 3), label (m,)): from each point in ``order``, the plane around it as far as it goes."""
     num = len(point_m)
     label, seen = np.full(num, -1), np.full(num, -1)
-    plane, num_planes = np.empty((num // min_points + 1, 3)), 0
+    plane, num_planes = np.empty((num // min(min_points, settings.min_points) + 1, 3)), 0
     rows = np.empty(num + neighbour.shape[1], np.int64)
     min_along = np.cos(np.radians(settings.angle_deg))
     for seed in order:
@@ -212,13 +219,14 @@ def _grown(
                     seen[other], rows[count], count = seed, other, count + 1
             if count >= next_fit:
                 current, next_fit = _fit(point_m, rows, count, settings.noise_m), count + count // 2
-        if count < min_points:
+        least = _fewest(current, min_points, settings)
+        if count < least:
             continue
         current, near = _fit(point_m, rows, count, settings.noise_m), ZERO
         for t in range(count):
             if _distance(current, point_m[rows[t]]) < settings.distance_m:
                 rows[near], near = rows[t], near + 1
-        if near >= min_points:
+        if near >= least:
             for t in range(near):
                 label[rows[t]] = num_planes
             plane[num_planes] = _fit(point_m, rows, near, settings.noise_m)
@@ -386,8 +394,9 @@ def _merged(
                 pair[k], worse_m[k] = moved, 0.0 if is_new[k] else np.inf
     result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)
     for rows in rows_of:
-        if len(rows) >= max(min_points, 1):
+        if len(rows):
             result[num_roofs] = _fit(point_m, rows, len(rows), settings.noise_m)
-            if np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:
+            is_large = len(rows) >= _fewest(result[num_roofs], min_points, settings)
+            if is_large and np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:
                 new_label[rows], num_roofs = num_roofs, num_roofs + 1
     return result[:num_roofs].copy(), new_label

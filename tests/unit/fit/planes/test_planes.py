@@ -189,6 +189,16 @@ def test_the_ridge_between_two_low_slopes_is_where_it_is(seed: int) -> None:
     assert abs((a * 25 + c) / b) < 0.12
 
 
+@pytest.mark.parametrize(("num_along", "num_planes"), [(9, 2), (7, 1)])
+def test_the_least_area_of_a_plane_is_that_of_its_surface(num_along: int, num_planes: int) -> None:
+    """The side of a dormer, at 45 degrees: of 1.15 m2, and 0.81 in plan; of 0.7 m2."""
+    grid_m = np.stack(np.meshgrid(np.arange(80.0), np.arange(80.0)), axis=-1).reshape(-1, 2) / 10
+    is_on = ((grid_m > 3.95) & (grid_m < 3.95 + num_along / 10)).all(axis=1)
+    z_m = np.where(is_on, grid_m[:, 0], 3.0)
+    found = detect(np.column_stack([grid_m, z_m]), 100.0, (0.0,), PLANES.detection)
+    assert len(found.plane) == num_planes
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
