@@ -64,10 +64,13 @@ def with_meeting_planes(
         pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
         at, plane = np.divmod(np.unique(pairs), num)
     point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
-    apart_m = _apart_m(row, point_m, at, plane)
+    # a vertex that no plane can move stays: a corner of the footprint within a wall may be a millimetre off its line
+    moves = np.asarray(scale.any(axis=(1, 2)))
+    can_move = np.zeros(len(first), bool)
+    can_move[at[moves[plane]]] = True
+    apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
     is_off = apart_m >= _EXACT_M
     if is_off.any():
-        moves = np.asarray(scale.any(axis=(1, 2)))
         is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), bool))
         # places where planes depend on each other, as more meet than a point needs
         is_place = np.zeros(len(first), bool)
@@ -84,7 +87,7 @@ def with_meeting_planes(
             is_here[at[is_own[plane]]] = True
             here, own_at = np.unique(at[is_here[at]], return_inverse=True)
             point_m[here] = _met(row, scale, is_own, point_m[here], own_at, plane[is_here[at]])
-        apart_m = _apart_m(row, point_m, at, plane)
+        apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
     moved_m = point_m[place, :3]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))

@@ -118,6 +118,18 @@ def test_roofs_bent_by_more_than_centimetres_stay() -> None:
     assert with_exact_faces(mesh.moved(bent)).vertex_m.tolist() == bent.tolist()
 
 
+def test_a_corner_of_the_footprint_beside_the_line_of_its_wall_keeps_no_short_edge() -> None:
+    """Three millimetres, as outlines are rounded, between two pieces of one wall. The low step there goes."""
+    corner = [6, 3e-3]
+    rings = [[[0, 0], corner, [6, 8], [0, 8]], [corner, [12, 0], [12, 8], [6, 8]]]
+    halves = zip(rings, (5.0, 5.04), strict=True)
+    mesh = union([FittedRoof([np.array(ring, float)], np.full(4, 90.0), z, 0.0) for ring, z in halves])
+    exact = with_exact_faces(mesh)
+    assert mesh.edge_m.min() < 0.05 < exact.edge_m.min() and exact.is_closed
+    floor_m = exact.vertex_m[exact.vertex_m[:, 2] == 0, :2].tolist()
+    assert corner in floor_m
+
+
 @pytest.mark.parametrize(("step_m", "stays"), [(0.02, False), (0.04, False), (0.08, True)])
 def test_a_low_step_between_level_roofs_goes_and_they_stay_level(step_m: float, stays: bool) -> None:
     mesh = boxes(step_m)
