@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from kernel_unions import union
@@ -124,6 +126,9 @@ def test_a_corner_of_the_footprint_beside_the_line_of_its_wall_keeps_no_short_ed
     rings = [[[0, 0], corner, [6, 8], [0, 8]], [corner, [12, 0], [12, 8], [6, 8]]]
     halves = zip(rings, (5.0, 5.04), strict=True)
     mesh = union([FittedRoof([np.array(ring, float)], np.full(4, 90.0), z, 0.0) for ring, z in halves])
+    is_front = mesh.planes.normal[mesh.number, 1] < -0.9
+    assert len(np.unique(mesh.label[is_front])) == 2
+    mesh = replace(mesh, label=np.where(is_front, mesh.label[is_front][0], mesh.label))
     exact = with_exact_faces(mesh)
     assert mesh.edge_m.min() < 0.05 < exact.edge_m.min() and exact.is_closed
     floor_m = exact.vertex_m[exact.vertex_m[:, 2] == 0, :2].tolist()

@@ -25,7 +25,8 @@ _LOWEST_M, FORBIDDEN_M3 = 0.3, 1e4
 # planes have a border, and twice as far as any point; at most so many, the nearest
 _REACH, _MAX_CANDIDATES = 2.0, 32
 _UNSEEN_REACH = 2.0
-# the middles of the four quarters of a square
+# the middles of the four quarters of a square, and the longest side of one over which a point counts
+_LONGEST_M = 1.0
 _QUARTERS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
 
 
@@ -142,10 +143,11 @@ def _spread(
     cells: Arrangement, point_m: np.ndarray, of_cell: np.ndarray, stands_m2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(points, their cells, the areas that they stand for), where a point that stands for more than its cell is four:
-    in the cells at the middles of the quarters of the square that it stands for. So no single point of a sparse cloud
-    pays for a tower of the width of a hand."""
+    in the cells at the middles of the quarters of the square that it stands for, or of 1 m. So no single point of a
+    sparse cloud pays for a tower of the width of a hand."""
     is_wide = (of_cell >= 0) & (stands_m2 > cells.area_m2[of_cell])
-    quarter_m = point_m[is_wide, None, :2] + np.sqrt(stands_m2[is_wide, None, None]) * _QUARTERS
+    side_m = np.minimum(np.sqrt(stands_m2[is_wide, None, None]), _LONGEST_M)
+    quarter_m = point_m[is_wide, None, :2] + side_m * _QUARTERS
     place = cells.cells_at(quarter_m.reshape(-1, 2))
     own, four_m, quarter_m2 = (
         np.repeat(each[is_wide], len(_QUARTERS), axis=0)
