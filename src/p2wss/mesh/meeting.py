@@ -40,6 +40,7 @@ def with_meeting_planes(
     more: Collection[tuple[int, int]] = (),
     free: Collection[int] = (),
     turns: bool = False,
+    corners_stay: bool = False,
 ) -> tuple[Mesh, np.ndarray]:
     """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
     planes of each vertex are from it, (v,), where they cannot).
@@ -48,6 +49,9 @@ def with_meeting_planes(
     through the places of vertices. Roofs may tilt, walls between roofs shift and, with ``turns``, turn; floors and the
     walls on them stay, but for those planes that are ``free`` to shift, too. Conditions are linear in the changes of
     the planes while vertices stay; as they follow their planes, the least squares are solved a few times.
+
+    corners_stay: whether vertices that no plane can move stay, too: a corner of the footprint within a wall may be a
+    millimetre off its line.
     """
     planes = mesh.planes
     num = len(planes.kind)
@@ -64,9 +68,8 @@ def with_meeting_planes(
         pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
         at, plane = np.divmod(np.unique(pairs), num)
     point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
-    # a vertex that no plane can move stays: a corner of the footprint within a wall may be a millimetre off its line
     moves = np.asarray(scale.any(axis=(1, 2)))
-    can_move = np.zeros(len(first), bool)
+    can_move = np.full(len(first), not corners_stay)
     can_move[at[moves[plane]]] = True
     apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
     is_off = apart_m >= _EXACT_M

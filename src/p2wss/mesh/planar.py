@@ -104,7 +104,7 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
     """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`), if possible without
     turning walls; None if no change of centimetres does that."""
     for turns in (False, True):
-        moved, apart_m = with_meeting_planes(mesh, place, free=free, turns=turns)
+        moved, apart_m = with_meeting_planes(mesh, place, free=free, turns=turns, corners_stay=not free)
         if apart_m.max() > _PLANAR_M:
             continue
         if moved is mesh:
