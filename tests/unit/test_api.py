@@ -186,6 +186,9 @@ def test_footprints_are_explored_on_a_map(monkeypatch: pytest.MonkeyPatch) -> No
     page = scene.explore("reason", tiles=None).get_root().render()
     # degrees, as CRS of the map
     assert '"building_id": "a"' in page and '"reason": "no-points"' in page and "leaflet" in page
+    for wrong in ("nonsense", "geometry", "points_date"):
+        with pytest.raises(p2wss.InputError, match=f"column: choose from .*status.*, not '{wrong}'"):
+            scene.explore(wrong)
     monkeypatch.setitem(sys.modules, "folium", None)
     with pytest.raises(p2wss.InputError, match=r"needs folium; type: pip install 'p2wss\[map\]'"):
         scene.explore()

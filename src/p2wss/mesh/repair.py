@@ -12,7 +12,7 @@ from p2wss.mesh.faces import Surface
 from p2wss.mesh.rules import WRITING, Breach, breaches
 from p2wss.mesh.topology import unique_rows
 
-# files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
+# files store coordinates as integers of this size: finer than any plane's tolerance
 SCALE_M = 1e-5
 
 

@@ -307,14 +307,19 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return picture.plot(chosen, view, axes)
 
     @public
-    def explore(self, column: str = "status", **options: Any) -> Any:
+    def explore(self, column: str | None = "status", **options: Any) -> Any:
         """The footprints on a map of the web, with their attributes (the extra ``map``): a ``folium.Map``.
 
-        column: the attribute of :attr:`table` that colours them. options: of ``geopandas.GeoDataFrame.explore``.
+        column: the attribute of :attr:`table` that colours them, None for one colour. options: of
+        ``geopandas.GeoDataFrame.explore``. Raises :class:`InputError` for an attribute that no building has.
         """
         import folium  # noqa: F401 (an ImportError of geopandas would not tell the extra)
 
-        return self.table.explore(column, **options)
+        table = self.table
+        known = [name for name, values in table.drop(columns="geometry").items() if values.notna().any()]
+        if column is not None and column not in known:
+            raise InputError(f"column: choose from {', '.join(map(str, known))}, not {column!r}")
+        return table.explore(column, **options)
 
     def explain(self, building_id: str) -> Explanation:
         """Why the roof of a building is as it is: ``print`` shows it as text, its ``plot()`` as a picture. The building
