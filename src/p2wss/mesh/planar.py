@@ -35,47 +35,70 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     and the mesh stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are
     divided anew.
     """
-    flipped = _flipped(mesh)
-    result = _met(flipped, np.arange(len(flipped.vertex_m)))
-    result = result if result and _is_as_valid(result, flipped) else flipped
-    # planes at the ends of edges that could not go: with others there, they may
-    kept = set()
-    while result is not None:
-        mesh, result = result, None
-        edge_m = mesh.edge_m.ravel()
-        rows = np.flatnonzero(edge_m < short_m)
-        if not len(rows):
-            break
-        num_thin, floor = _is_thin(mesh).sum(), mesh.triangle[mesh.kind == FaceKind.GROUND]
-        span = int(mesh.label.max(initial=0)) + 1
-        pair = np.unique(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
-        begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
-        for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
-            end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-            around = frozenset((pair[begin[v] : begin[v + 1]] - v * span).tobytes() for v in (end, gone))
-            if around in kept or not _can_merge(mesh, end, gone):
-                continue
-            each = np.arange(len(mesh.vertex_m))
-            each[gone] = end
-            vertex, plane = mesh.at
-            free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
-            moved = _met(mesh, each, short_m, free)
-            if moved is not None:
-                result = _merged(moved, end, gone)
-            elif gone not in floor:
-                merged = _merged(mesh, end, gone)
-                result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
-            if result is not None and _is_thin(result).sum() > num_thin:
-                # the other end of a step that went, or a vertex that a wall now passes through
-                result = with_exact_faces(result, _NO_HEIGHT_M, walls_stay)
-                result = None if _is_thin(result).sum() > num_thin else result
-            if result is not None and _is_as_valid(result, mesh):
-                break
-            # none, or a vertex has come to where another one is, as where four walls share an upright edge, or beyond
-            result = None
-            kept.add(around)
+    mesh, is_shorter = _with_planes(mesh), True
+    # after others went, and with faces divided anew, an edge may go that could not before
+    while is_shorter:
+        shorter = _without_short_edges(mesh, short_m, walls_stay)
+        is_shorter, mesh = shorter is not mesh, _without_slivers(shorter)
+    return mesh
+
+
+def _without_slivers(mesh: Mesh) -> Mesh:
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
     return with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool)) if is_narrow.any() else mesh
+
+
+def _with_planes(mesh: Mesh) -> Mesh:
+    """The mesh with planar walls and roofs, if it stays valid."""
+    flipped = _flipped(mesh)
+    result = _met(flipped, np.arange(len(flipped.vertex_m)))
+    return result if result and _is_as_valid(result, flipped) else flipped
+
+
+def _without_short_edges(mesh: Mesh, short_m: float, walls_stay: bool) -> Mesh:
+    kept = set[frozenset[bytes]]()
+    while (shorter := _without_shortest(mesh, short_m, walls_stay, kept)) is not None:
+        mesh = shorter
+    return mesh
+
+
+def _without_shortest(
+    mesh: Mesh, short_m: float, walls_stay: bool, kept: set[frozenset[bytes]]
+) -> Mesh | None:
+    """The mesh without the shortest edge that can go, None if there is none. kept: planes at both ends of edges that
+    could not go, which are not tried again and to which others are added."""
+    edge_m = mesh.edge_m.ravel()
+    rows = np.flatnonzero(edge_m < short_m)
+    if not len(rows):
+        return None
+    num_thin, floor = _is_thin(mesh).sum(), mesh.triangle[mesh.kind == FaceKind.GROUND]
+    span = int(mesh.label.max(initial=0)) + 1
+    pair = np.unique(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
+    begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
+    for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
+        end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
+        around = frozenset((pair[begin[v] : begin[v + 1]] - v * span).tobytes() for v in (end, gone))
+        if around in kept or not _can_merge(mesh, end, gone):
+            continue
+        each = np.arange(len(mesh.vertex_m))
+        each[gone] = end
+        vertex, plane = mesh.at
+        free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
+        result = _met(mesh, each, short_m, free)
+        if result is not None:
+            result = _merged(result, end, gone)
+        elif gone not in floor:
+            merged = _merged(mesh, end, gone)
+            result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
+        if result is not None and _is_thin(result).sum() > num_thin:
+            # the other end of a step that went, or a vertex that a wall now passes through
+            result = _without_short_edges(_with_planes(result), _NO_HEIGHT_M, walls_stay)
+            result = None if _is_thin(result).sum() > num_thin else result
+        if result is not None and _is_as_valid(result, mesh):
+            return result
+        # none, or a vertex has come to where another one is, as where four walls share an upright edge, or beyond
+        kept.add(around)
+    return None
 
 
 def without_straight_vertices(mesh: Mesh) -> Mesh:
@@ -109,11 +132,14 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
             continue
         if moved is mesh:
             return mesh
-        move_m = np.abs(moved.vertex_m - mesh.vertex_m)
+        move_m = moved.vertex_m - mesh.vertex_m
         # the walls on floors stay where they are not free
         stays = bool(free) or not move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+        # along a plane a vertex may move further, as where roofs of nearly the same slope meet
+        vertex, plane = mesh.at
+        off_m = np.abs((move_m[vertex] * mesh.planes.normal[plane]).sum(axis=1)).max()
         num_turned = [turned_over(each, mesh).sum() for each in (mesh, moved)]
-        if stays and move_m.max() <= max(_MAX_MOVE_M, max_move_m) and num_turned[1] <= num_turned[0]:
+        if stays and off_m <= max(_MAX_MOVE_M, max_move_m) and num_turned[1] <= num_turned[0]:
             return moved
     return None
 

@@ -161,6 +161,21 @@ def test_high_roofs_in_opposite_corners_stay_apart(step_m: float) -> None:
     assert with_exact_faces(mesh, 0.2).is_closed
 
 
+def test_a_ridge_of_little_slope_slides_along_its_roofs_for_a_low_step() -> None:
+    """Its ends move by 13 cm in plan, but neither roof by more than 1 cm."""
+    cells = arrange([RING], [Line(np.array([0.0, 1.0]), 4.0), Line(np.array([1.0, 0.0]), 6.0)])
+    x, y = cells.middle_m.T
+    plane = np.array([[0, 0.02, 4.92], [0, -0.02, 5.08], [0, 0.07, 4.95]])
+    mesh = solid_below(cells, np.where(x > 6, 2, y > 4), plane, RING)
+    exact = with_exact_faces(mesh)
+    assert mesh.edge_m.min() == pytest.approx(0.03) and exact.edge_m.min() > 0.5
+    assert exact.is_closed and furthest_m(exact) < 1e-6
+    assert exact.vertex_m[:, 2].sum() == pytest.approx(
+        np.unique(mesh.vertex_m, axis=0)[:, 2].sum() - 4.935, abs=0.02
+    )
+    assert np.ptp(exact.vertex_m[np.abs(exact.vertex_m[:, 1] - 4) < 1, 1]) > 0.1
+
+
 def test_a_notch_of_the_footprint_stays() -> None:
     """An edge of 3 cm between two walls: moving an end would turn a wall."""
     ring = np.array([[0, 0], [12, 0], [12, 4], [12.03, 4], [12.03, 8], [0, 8]])

@@ -247,7 +247,7 @@ def test_roofs_and_fronts_of_a_row_are_one_plane_each() -> None:
 
 
 def test_a_curved_row_and_different_roofs_keep_their_planes() -> None:
-    (skin,) = skins(row(turn_deg=2.0, rise_m=0.5))
+    (skin,) = skins(row(turn_deg=2.5, rise_m=0.5))
     assert_closed(skin)
     mesh = skin.mesh
     front = mesh.doubled_m2[(mesh.kind == FaceKind.WALL) & (mesh.doubled_m2[:, 1] < 0)]

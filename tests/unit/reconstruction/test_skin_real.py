@@ -42,8 +42,8 @@ def test_rows_of_delft(results: list[Result]) -> None:
         assert_closed(skin)
     assert max(len(skin.building_ids) for skin in joined) > 20 and len(joined) < 12
     total = sum(volume(skin.mesh.vertex_m, skin.mesh.triangle) for skin in exact)
-    # roofs of neighbours within 10 cm meet, which moves a roof by a millimetre in the mean
-    assert total == pytest.approx(united(solids).volume(), rel=2e-4)
+    # roofs of neighbours within 12 cm meet, which moves a roof by a few millimetres in the mean
+    assert total == pytest.approx(united(solids).volume(), rel=6e-4)
     # no vertex leaves the plane of a face, but for what is merged
     for skin in joined:
         mesh = skin.mesh.translated(-skin.mesh.vertex_m.min(axis=0))

@@ -61,8 +61,10 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
         ]
         whole = replace(mesh, label=one_plane[mesh.number])
         moved, apart_m = with_meeting_planes(whole, groups(len(building), _pairs(linked)), through)
-        is_bad = np.linalg.norm(moved.vertex_m - mesh.vertex_m, axis=1) > max_step_m
-        is_bad |= apart_m > _APART_M
+        is_bad = apart_m > _APART_M
+        # along a plane a vertex may move further, as where roofs of nearly the same slope meet
+        off_m = ((moved.vertex_m - mesh.vertex_m)[vertex_at] * mesh.planes.normal[plane_at]).sum(axis=1)
+        is_bad[vertex_at[np.abs(off_m) > max_step_m]] = True
         is_bad[mesh.triangle[turned_over(moved, mesh)]] = True
         is_bad_plane = np.zeros(len(one_plane), bool)
         is_bad_plane[plane_at[is_bad[vertex_at]]] = True
