@@ -257,3 +257,10 @@ def test_pages_show_the_stored_figures():
         assert page.read_text() == text, f"{page.name}: run python benchmarks/results.py"
     references = yaml.safe_load((ROOT / "docs/results/figures.yaml").read_text())
     assert set(references) == set(results["REFERENCE"].findall("".join(pages.values())))
+
+
+def test_the_site_loads_no_script_from_a_server() -> None:
+    """The search needs a worker, which the theme would load from a server where pages are read from disk."""
+    text = (ROOT / "mkdocs.yml").read_text()
+    (script,) = yaml.safe_load(text)["extra"]["polyfills"]
+    assert "iframe-worker" in script and (ROOT / "docs" / script).stat().st_size > 0
