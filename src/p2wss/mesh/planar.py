@@ -35,10 +35,10 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     and the mesh stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are
     divided anew.
     """
-    mesh, is_shorter = _with_planes(mesh), True
+    mesh, is_shorter, tried = _with_planes(mesh), True, set[object]()
     # after others went, and with faces divided anew, an edge may go that could not before
     while is_shorter:
-        shorter = _without_short_edges(mesh, short_m, walls_stay)
+        shorter = _without_short_edges(mesh, short_m, walls_stay, tried)
         is_shorter, mesh = shorter is not mesh, _without_slivers(shorter)
     return mesh
 
@@ -55,50 +55,64 @@ def _with_planes(mesh: Mesh) -> Mesh:
     return result if result and _is_as_valid(result, flipped) else flipped
 
 
-def _without_short_edges(mesh: Mesh, short_m: float, walls_stay: bool) -> Mesh:
-    kept = set[frozenset[bytes]]()
-    while (shorter := _without_shortest(mesh, short_m, walls_stay, kept)) is not None:
+def _without_short_edges(mesh: Mesh, short_m: float, walls_stay: bool, tried: set[object]) -> Mesh:
+    """The mesh after one round. tried: see :func:`_without_shortest`."""
+    kept = set[object]()
+    while (shorter := _without_shortest(mesh, short_m, walls_stay, kept, tried)) is not None:
         mesh = shorter
     return mesh
 
 
 def _without_shortest(
-    mesh: Mesh, short_m: float, walls_stay: bool, kept: set[frozenset[bytes]]
+    mesh: Mesh, short_m: float, walls_stay: bool, kept: set[object], tried: set[object]
 ) -> Mesh | None:
-    """The mesh without the shortest edge that can go, None if there is none. kept: planes at both ends of edges that
-    could not go, which are not tried again and to which others are added."""
+    """The mesh without the shortest edge that can go, None if there is none.
+
+    Edges that could not go are not tried again, those with the same planes at their ends in this round (``kept``), and
+    those whose planes have the same vertices in any (``tried``); both are added to.
+    """
     edge_m = mesh.edge_m.ravel()
     rows = np.flatnonzero(edge_m < short_m)
     if not len(rows):
         return None
-    num_thin, floor = _is_thin(mesh).sum(), mesh.triangle[mesh.kind == FaceKind.GROUND]
     span = int(mesh.label.max(initial=0)) + 1
     pair = np.unique(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
     begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
     for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
         end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-        around = frozenset((pair[begin[v] : begin[v + 1]] - v * span).tobytes() for v in (end, gone))
+        labels = [pair[begin[v] : begin[v + 1]] - v * span for v in (end, gone)]
+        around = frozenset(each.tobytes() for each in labels)
         if around in kept or not _can_merge(mesh, end, gone):
             continue
-        each = np.arange(len(mesh.vertex_m))
-        each[gone] = end
-        vertex, plane = mesh.at
-        free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
-        result = _met(mesh, each, short_m, free)
+        is_near = np.isin(mesh.label, np.concatenate(labels))
+        state = around, mesh.vertex_m[np.unique(mesh.triangle[is_near])].tobytes()
+        result = None if state in tried else _without_edge(mesh, end, gone, short_m, walls_stay)
         if result is not None:
-            result = _merged(result, end, gone)
-        elif gone not in floor:
-            merged = _merged(mesh, end, gone)
-            result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
-        if result is not None and _is_thin(result).sum() > num_thin:
-            # the other end of a step that went, or a vertex that a wall now passes through
-            result = _without_short_edges(_with_planes(result), _NO_HEIGHT_M, walls_stay)
-            result = None if _is_thin(result).sum() > num_thin else result
-        if result is not None and _is_as_valid(result, mesh):
             return result
-        # none, or a vertex has come to where another one is, as where four walls share an upright edge, or beyond
         kept.add(around)
+        tried.add(state)
     return None
+
+
+def _without_edge(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: bool) -> Mesh | None:
+    """The mesh in which the ends of an edge are one vertex, None if its planes do not meet there, or if a vertex comes
+    to where another one is, as where four walls share an upright edge, or beyond."""
+    num_thin, floor = _is_thin(mesh).sum(), mesh.triangle[mesh.kind == FaceKind.GROUND]
+    each = np.arange(len(mesh.vertex_m))
+    each[gone] = end
+    vertex, plane = mesh.at
+    free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
+    result = _met(mesh, each, short_m, free)
+    if result is not None:
+        result = _merged(result, end, gone)
+    elif gone not in floor:
+        merged = _merged(mesh, end, gone)
+        result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
+    if result is not None and _is_thin(result).sum() > num_thin:
+        # the other end of a step that went, or a vertex that a wall now passes through
+        result = _without_short_edges(_with_planes(result), _NO_HEIGHT_M, walls_stay, set())
+        result = None if _is_thin(result).sum() > num_thin else result
+    return result if result is not None and _is_as_valid(result, mesh) else None
 
 
 def without_straight_vertices(mesh: Mesh) -> Mesh:
