@@ -99,12 +99,32 @@ def _python() -> str:
         if "." in name and isinstance(each, str | int | float | tuple):
             continue
         signature = _signature(each) if inspect.isfunction(each) else ""
-        text = _ROLE.sub(r"`\1`", inspect.getdoc(each) or "")
+        text = _with_lists(_ROLE.sub(r"`\1`", inspect.getdoc(each) or ""))
         paragraphs = [f"```python\n{p}\n```" if p.startswith(">>>") else p for p in text.split("\n\n")]
         level = "###" if name.split(".")[0] != "p2wss" and "." in name else "##"
         head = f"{level} {name}\n\n" + (f"```python\n{name}{signature}\n```\n\n" if signature else "")
         parts.append(head + "\n\n".join(paragraphs) + "\n")
     return "\n".join(parts)
+
+
+def _with_lists(text: str) -> str:
+    """The sections of a docstring (numpydoc) as lists of Markdown."""
+    parts = re.split(r"\n\n(\w+)\n-{4,}\n", f"\n\n{text}".rstrip())
+    sections = zip(parts[1::2], parts[2::2], strict=True)
+    return parts[0].strip() + "".join(f"\n\n**{head}**\n\n{_listed(body)}" for head, body in sections)
+
+
+def _listed(body: str) -> str:
+    """The items of a section, each a line with a name and perhaps a type above indented lines of text."""
+    if body.startswith(">>>"):
+        return body
+    lines = []
+    for item in re.split(r"\n(?=\S)", body):
+        head, *rest = item.split("\n")
+        name, _, kind = head.partition(" : ")
+        text = " ".join(map(str.strip, rest))
+        lines.append(f"- `{name}`" + (f", {kind}" if kind else "") + (f": {text}" if text else ""))
+    return "\n".join(lines)
 
 
 def _signature(function: Any) -> str:

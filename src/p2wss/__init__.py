@@ -70,21 +70,47 @@ def reconstruct(
 ) -> Scene:
     """Reconstruct buildings: one closed solid per footprint, or the reason why there is none.
 
-    cloud: LAS, LAZ or COPC files or folders of them, points as an array (n, 3), or (n, 4) with LAS classes, or what
-    laspy has read. footprints: a vector file, a table with polygons, or polygons alone, in any CRS; None for outlines
-    that are derived from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only
-    the buildings of these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run.
-    terrain: a raster of heights, in which written meshes then stand. lines: ridges, valleys and other lines of roofs
-    that a map knows, as footprints are given: planes may end there if the points do not contradict. detail: ``low``,
-    ``normal`` or ``high``. model: weights of Point2WSS, or ``"point2wss"`` for those of the package, for buildings as
-    that network predicts them; ``"none"`` for no network at all; by default a fit, with a network that completes roofs
-    of few points. config: a file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
-    config/default.yaml describe every setting. threads: of the network; without one, as many processes fit. progress:
-    whether to show a bar, or a function that is called with (number done, number in all).
+    Parameters
+    ----------
+    cloud : path, array, laspy.LasData, or a sequence of them
+        LAS, LAZ or COPC files or folders of them; points (n, 3), or (n, 4) with LAS classes; or what laspy has read.
+    footprints : path, GeoDataFrame, GeoSeries or polygons, optional
+        In any CRS. Without them, outlines are derived from the points.
+    crs : str, optional
+        Of clouds that do not state theirs, such as ``EPSG:28992``.
+    ids : sequence of str, optional
+        Only these buildings.
+    bbox : (x_min, y_min, x_max, y_max), optional
+        Only the buildings with their centre in it, in the CRS of the run.
+    terrain : path, optional
+        A raster of heights, in which written meshes then stand.
+    lines : path, GeoDataFrame, GeoSeries or lines, optional
+        Ridges, valleys and other lines of roofs that a map knows: planes may end there if the points do not contradict.
+    detail : {"low", "normal", "high"}, optional
+    model : path or str, optional
+        Weights of Point2WSS, or ``"point2wss"`` for those of the package, for buildings as that network predicts them;
+        ``"none"`` for no network at all. By default a fit, with a network that completes roofs of few points.
+    config : path, dict or Config, optional
+        A file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``. docs/manual and config/default.yaml
+        describe every setting.
+    threads : int
+        Of the network. Without one, as many processes fit.
+    progress : bool or callable
+        Whether to show a bar, or a function that is called with (number done, number in all).
 
-    Raises :class:`InputError` for inputs that cannot work. A building that cannot be reconstructed raises nothing: its
-    ``status`` and ``reason`` tell.
+    Returns
+    -------
+    Scene
+        The buildings by their ids. A building that cannot be reconstructed raises nothing: its ``status`` and
+        ``reason`` tell.
 
+    Raises
+    ------
+    InputError
+        For inputs that cannot work, before anything slow begins.
+
+    Examples
+    --------
     >>> import geopandas, numpy, shapely
     >>> x, y = numpy.meshgrid(numpy.arange(-4, 14, 0.4), numpy.arange(-4, 10, 0.4))
     >>> inside = (x > 0) & (x < 10) & (y > 0) & (y < 6)
@@ -112,7 +138,18 @@ def read(path: str | Path) -> Scene:
     """The buildings of a CityJSON file or text sequence, by this package or another program, at the highest level of
     detail that each has.
 
-    Raises :class:`InputError` if the file is missing or broken.
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        If the file is missing or broken.
     """
     from p2wss.reconstruction import scene
 
@@ -132,9 +169,28 @@ def evaluate(
 ) -> pd.DataFrame:
     """How far the points of each building are from its mesh, with one row per footprint.
 
-    buildings: a scene, or a CityJSON file of any program. id_field: column of the footprints with the ids of the
-    buildings. crs, height_unit: of the clouds, whatever they state. layer: of a file of footprints, as the setting
-    ``reconstruct.footprint_layer``: "" is the first with polygons. Columns: see :func:`p2wss.eval.files.evaluate`.
+    Parameters
+    ----------
+    buildings : Scene or path
+        A scene, or a CityJSON file of any program.
+    footprints, clouds
+        As in :func:`reconstruct`.
+    crs, height_unit : str
+        Of the clouds, whatever they state.
+    id_field : str, optional
+        Column of the footprints with the ids of the buildings.
+    layer : str
+        Of a file of footprints, as the setting ``reconstruct.footprint_layer``: "" is the first with polygons.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Its columns: see :func:`p2wss.eval.files.evaluate`.
+
+    Raises
+    ------
+    InputError
+        For inputs that cannot work.
     """
     from p2wss.eval import files
 
@@ -150,7 +206,23 @@ def outlines(
     crs: str | None = None,
     config: Config | str | Path | dict[str, Any] | None = None,
 ) -> gpd.GeoDataFrame:
-    """Outlines of buildings from points alone, for places without footprints (docs/manual/outlines.md)."""
+    """Outlines of buildings from points alone, for places without footprints (docs/manual/outlines.md).
+
+    Parameters
+    ----------
+    cloud, crs, config
+        As in :func:`reconstruct`.
+
+    Returns
+    -------
+    geopandas.GeoDataFrame
+        A row per building, with its id.
+
+    Raises
+    ------
+    InputError
+        For inputs that cannot work.
+    """
     from p2wss.config import as_config
     from p2wss.reconstruction.inputs import check_inputs, read_outlines
 
@@ -162,7 +234,19 @@ def outlines(
 def check(path: str | Path) -> Validity:
     """Whether the solids of a CityJSON file follow the rules of ISO 19107, with the default tolerances of val3dity.
 
-    ``check(path).invalid`` has the errors of each invalid solid, and is empty if all are valid.
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Validity
+        Its ``invalid`` has the errors of each invalid solid, and is empty if all are valid.
+
+    Raises
+    ------
+    InputError
+        For a file that is missing, broken or without solids.
     """
     from p2wss.formats.validity import check_file
 
@@ -179,13 +263,29 @@ def fetch(
 ) -> Fetched:
     """Footprints, terrain and LiDAR of a place in France from IGN's services, or from the folders of the config.
 
-    bbox: (x_min, y_min, x_max, y_max) in ``crs``: by default longitude and latitude in degrees. folder: where the files
-    are written, and kept for the next call. The result has the paths, which :func:`reconstruct` takes:
+    Parameters
+    ----------
+    bbox : (x_min, y_min, x_max, y_max)
+        In ``crs``: by default longitude and latitude in degrees.
+    crs : str
+    folder : path
+        Where the files are written, and kept for the next call.
+    config : path, dict or Config, optional
 
-        data = p2wss.fetch((2.350, 48.853, 2.354, 48.856))
-        scene = p2wss.reconstruct(data.clouds, data.footprints, terrain=data.terrain)
+    Returns
+    -------
+    Fetched
+        The paths, which :func:`reconstruct` takes.
 
-    Raises :class:`InputError` for a box that is not in ``crs``, and if a service does not answer.
+    Raises
+    ------
+    InputError
+        For a box that is not in ``crs``, and if a service does not answer.
+
+    Examples
+    --------
+    >>> data = p2wss.fetch((2.350, 48.853, 2.354, 48.856))  # doctest: +SKIP
+    >>> scene = p2wss.reconstruct(data.clouds, data.footprints, terrain=data.terrain)  # doctest: +SKIP
     """
     from p2wss.config import IGN, Config, load
     from p2wss.fetching.area import fetch_area
@@ -202,12 +302,27 @@ def roof(
 ) -> trimesh.Trimesh:
     """The building of the paper (section 3): a footprint, a height and an angle per edge make a closed mesh.
 
-    footprint: a polygon, also as the only part of a MultiPolygon, or its vertices (n, 2); metres; its rings may turn
-    either way. eave_height_m: above the ground, z = 0. angle_deg: 0, 90 or 5 to 85, one for all edges or one per edge
-    over all rings: edge i begins at vertex i, and 90 is a gable.
+    Parameters
+    ----------
+    footprint : Polygon, MultiPolygon of one part, or (n, 2)
+        In metres. Its rings may turn either way.
+    eave_height_m : float
+        Above the ground, z = 0.
+    angle_deg : float or sequence of float
+        0, 90 or 5 to 85, one for all edges or one per edge over all rings: edge i begins at vertex i, and 90 is a
+        gable.
 
-    Raises :class:`InputError` for a footprint or angles without a roof.
+    Returns
+    -------
+    trimesh.Trimesh
 
+    Raises
+    ------
+    InputError
+        For a footprint or angles without a roof.
+
+    Examples
+    --------
     >>> pyramid = roof([[0, 0], [8, 0], [8, 8], [0, 8]], 3, 45)
     >>> len(pyramid.faces), pyramid.bounds[1].round(6).tolist()
     (14, [8.0, 8.0, 7.0])
@@ -231,10 +346,32 @@ def scan(
 
     Needs the extra ``scan``.
 
-    meshes: closed, z up, metres. terrain: a raster of heights; by default level ground at the lowest vertex. config:
-    its section ``scans`` describes the scanner and the flight. Points have LAS classes (2 ground, 6 building) and the
-    extra dimensions ``building_id``, the number of the mesh, and ``face_id``; ``scan(..).write("a.laz")`` writes them.
+    Parameters
+    ----------
+    meshes : Trimesh, a sequence of them, or Scene
+        Closed, z up, metres.
+    terrain : path, optional
+        A raster of heights. By default level ground at the lowest vertex.
+    crs : str or CRS, optional
+        Of the points.
+    config : path, dict or Config, optional
+        Its section ``scans`` describes the scanner and the flight.
+    seed : int
+    threads : int
 
+    Returns
+    -------
+    laspy.LasData
+        Points with LAS classes (2 ground, 6 building) and the extra dimensions ``building_id``, the number of the mesh,
+        and ``face_id``. Its ``write("a.laz")`` writes them.
+
+    Raises
+    ------
+    InputError
+        For a raster or settings that cannot work.
+
+    Examples
+    --------
     >>> points = scan([roof([[0, 0], [10, 0], [10, 6], [0, 6]], 5, [45, 90, 45, 90])])
     >>> bool((points.classification == 6).any()), round(float(points.z.max()))
     (True, 8)

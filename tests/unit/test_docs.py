@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 import runpy
 import shlex
@@ -14,8 +15,10 @@ import pytest
 import yaml
 from pydantic import BaseModel
 
+import p2wss
 from p2wss import cli
 from p2wss.config import Config, load
+from p2wss.reconstruction.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
@@ -264,3 +267,20 @@ def test_the_site_loads_no_script_from_a_server() -> None:
     text = (ROOT / "mkdocs.yml").read_text()
     (script,) = yaml.safe_load(text)["extra"]["polyfills"]
     assert "iframe-worker" in script and (ROOT / "docs" / script).stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    "name", [*p2wss.__all__, "Scene.points", "Scene.write", "Scene.plot", "Scene.explore"]
+)
+def test_docstrings_name_parameters_results_and_errors(name: str) -> None:
+    """As numpydoc has them, which editors read."""
+    owner = Scene if name.startswith("Scene.") else p2wss
+    call = getattr(owner, name.split(".")[-1])
+    if not inspect.isfunction(call):
+        return
+    text = inspect.getdoc(call) or ""
+    sections = dict(re.findall(r"\n\n(\w+)\n-{4,}\n(.*?)(?=\n\n\w+\n-{4,}\n|\Z)", text, re.DOTALL))
+    heads = [head.split(" : ")[0] for head in re.findall(r"^\S.*$", sections["Parameters"], re.MULTILINE)]
+    named = [each.lstrip("*") for head in heads for each in head.split(", ")]
+    assert sorted(named) == sorted(set(inspect.signature(call).parameters) - {"self"})
+    assert "Returns" in sections and ("Raises" in sections or name == "Scene.plot")

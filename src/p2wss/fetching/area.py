@@ -20,7 +20,17 @@ from p2wss.storage.log_lines import log
 
 
 class Fetched(NamedTuple):
-    """The files of a place: footprints (GeoPackage), terrain (GeoTIFF) and clouds (LAZ); in the CRS of the region."""
+    """The files of a place, in the CRS of the region.
+
+    Attributes
+    ----------
+    footprints : Path
+        A GeoPackage.
+    terrain : Path
+        A GeoTIFF.
+    clouds : list of Path
+        LAZ.
+    """
 
     footprints: Path
     terrain: Path

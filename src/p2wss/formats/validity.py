@@ -27,8 +27,16 @@ OVERLAP = 501
 
 @dataclass(frozen=True)
 class Validity:
-    """num_solids: of the file. invalid: by the name of each invalid solid, with its level of detail, the rules that it
-    breaks: codes of val3dity with their meaning."""
+    """The solids of a file that break rules of ISO 19107.
+
+    Attributes
+    ----------
+    num_solids : int
+        Of the file.
+    invalid : dict of str to list of str
+        By the name of each invalid solid, with its level of detail, the rules that it breaks: codes of val3dity with
+        their meaning.
+    """
 
     num_solids: int
     invalid: dict[str, list[str]]

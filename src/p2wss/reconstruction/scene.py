@@ -77,9 +77,15 @@ log = logging.getLogger("p2wss")
 
 @dataclass(frozen=True)
 class Surface:
-    """A planar polygon of a building. kind: ``RoofSurface``, ``WallSurface``, ``GroundSurface`` or
-    ``OuterFloorSurface``. rings_m: each (n, 3) in the CRS of the scene, the exterior first, counter-clockwise seen from
-    outside."""
+    """A planar polygon of a building.
+
+    Attributes
+    ----------
+    kind : str
+        ``RoofSurface``, ``WallSurface``, ``GroundSurface`` or ``OuterFloorSurface``.
+    rings_m : sequence of (n, 3)
+        In the CRS of the scene, the exterior first, counter-clockwise seen from outside.
+    """
 
     kind: str
     rings_m: Sequence[np.ndarray]
@@ -95,9 +101,18 @@ class Surface:
 class SceneBuilding:
     """A building of a scene.
 
-    status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
-    attributes: as in the files, see docs/manual/attributes.md. footprint: as it was used, in the CRS of the scene; None
-    if the file has none. solid: the mesh in the CRS of the scene; None without one.
+    Attributes
+    ----------
+    building_id : str
+    status : {"ok", "flat", "none"}
+        ``flat`` is a flat roof instead, and ``none`` no mesh, for ``reason``.
+    reason : str or None
+    attributes : mapping
+        As in the files, see docs/manual/attributes.md.
+    footprint : Polygon or None
+        As it was used, in the CRS of the scene; None if the file has none.
+    solid : Mesh or None
+        In the CRS of the scene; None without one.
     """
 
     building_id: str
@@ -135,8 +150,14 @@ class SceneBuilding:
 class Scene(Mapping[str, SceneBuilding], Closeable):
     """The buildings of a run or of a file, by their ids in the order of the footprints.
 
-    crs: of all coordinates; None for a file that states none. table: a row per building. plants: closed volumes, of
-    ``--vegetation``.
+    Attributes
+    ----------
+    crs : CRS or None
+        Of all coordinates; None for a file that states none.
+    config : Config
+    name : str
+    plants : sequence of Mesh
+        Closed volumes, of ``--vegetation``.
     """
 
     def __init__(
@@ -209,9 +230,22 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return gpd.GeoDataFrame(rows, geometry=shapes, crs=self.crs).set_index("building_id")
 
     def points(self, building_id: str) -> np.ndarray:
-        """The points (n, 3) within ``reconstruct.buffer_m`` of a building's footprint, in the CRS of the scene.
+        """The points within ``reconstruct.buffer_m`` of a building's footprint.
 
-        Raises :class:`InputError` for a scene that was read from a file, which has no points."""
+        Parameters
+        ----------
+        building_id : str
+
+        Returns
+        -------
+        (n, 3)
+            In the CRS of the scene.
+
+        Raises
+        ------
+        InputError
+            For a scene that was read from a file, which has no points.
+        """
         if self._run is None:
             raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
         footprint = self[building_id].footprint
@@ -225,8 +259,19 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
 
     def to_trimesh(self, skin: bool = False) -> trimesh.Scene:
-        """All meshes, each under the id of its building; with ``skin``, those of touching buildings as one closed mesh
-        without the walls between them, under the id of its first building. Vertices are in the CRS of the scene."""
+        """All meshes, each under the id of its building.
+
+        Parameters
+        ----------
+        skin : bool
+            Whether those of touching buildings become one closed mesh without the walls between them, under the id of
+            the first building.
+
+        Returns
+        -------
+        trimesh.Scene
+            Vertices are in the CRS of the scene.
+        """
         import trimesh
 
         result = trimesh.Scene(metadata={"crs": None if self.crs is None else self.crs.to_string()})
@@ -240,8 +285,23 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     ) -> list[Path]:
         """Write files into a folder, and return their paths.
 
-        formats: from ``reconstruct.outputs`` of the config, which is the default; of a scene that was read from a file
-        only mesh formats. name: of the files, without ending. Raises :class:`InputError` if a file cannot be written.
+        Parameters
+        ----------
+        folder : path
+        formats : sequence of str, optional
+            From ``reconstruct.outputs`` of the config, which is the default. Of a scene that was read from a file, only
+            mesh formats.
+        name : str, optional
+            Of the files, without ending.
+
+        Returns
+        -------
+        list of Path
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
         """
         settings = self.config.reconstruct
         if formats is not None:
@@ -282,8 +342,13 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return f'<iframe srcdoc="{html.escape(self.to_html())}" style="width:100%;height:46rem;border:0"></iframe>'
 
     def show(self) -> Path | None:
-        """Show the page of the scene: in a notebook below the cell, and otherwise in the browser, from a temporary file
-        whose path it returns."""
+        """Show the page of the scene: in a notebook below the cell, and otherwise in the browser.
+
+        Returns
+        -------
+        Path or None
+            Of the temporary file that the browser shows.
+        """
         ipython = sys.modules.get("IPython")
         if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
             ipython.display.display(self)
@@ -300,18 +365,41 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     def plot(self, view: str = "oblique", *, ids: Sequence[str] | None = None, axes: Any = None) -> Any:
         """A picture by matplotlib (the extra ``report``): the axes, on which more can be drawn.
 
-        view: ``oblique``, or ``plan`` in the CRS of the scene, footprints without a mesh in outline. ids: of the
-        buildings to draw, None for all. axes: to draw on, None for new ones.
+        Parameters
+        ----------
+        view : {"oblique", "plan"}
+            A plan is in the CRS of the scene, with footprints without a mesh in outline.
+        ids : sequence of str, optional
+            Of the buildings to draw; by default all.
+        axes : optional
+            To draw on; by default new ones.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
         """
         chosen = self.values() if ids is None else [self[each] for each in ids]
         return picture.plot(chosen, view, axes)
 
     @public
     def explore(self, column: str | None = "status", **options: Any) -> Any:
-        """The footprints on a map of the web, with their attributes (the extra ``map``): a ``folium.Map``.
+        """The footprints on a map of the web, with their attributes (the extra ``map``).
 
-        column: the attribute of :attr:`table` that colours them, None for one colour. options: of
-        ``geopandas.GeoDataFrame.explore``. Raises :class:`InputError` for an attribute that no building has.
+        Parameters
+        ----------
+        column : str or None
+            The attribute of :attr:`table` that colours them, None for one colour.
+        **options
+            Of ``geopandas.GeoDataFrame.explore``.
+
+        Returns
+        -------
+        folium.Map
+
+        Raises
+        ------
+        InputError
+            For an attribute that no building has.
         """
         import folium  # noqa: F401 (an ImportError of geopandas would not tell the extra)
 
@@ -322,10 +410,22 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return table.explore(column, **options)
 
     def explain(self, building_id: str) -> Explanation:
-        """Why the roof of a building is as it is: ``print`` shows it as text, its ``plot()`` as a picture. The building
-        is reconstructed once more.
+        """Why the roof of a building is as it is. The building is reconstructed once more.
 
-        Raises :class:`InputError` for a scene that was read from a file, which has no points."""
+        Parameters
+        ----------
+        building_id : str
+
+        Returns
+        -------
+        Explanation
+            ``print`` shows it as text, its ``plot()`` as a picture.
+
+        Raises
+        ------
+        InputError
+            For a scene that was read from a file, which has no points.
+        """
         from p2wss.reconstruction import explain
 
         if self._run is None:
