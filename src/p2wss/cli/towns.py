@@ -19,11 +19,11 @@ ROOFS = "roofs/roofs.city.jsonl"
 @option("--lidar", is_flag=True, help="also simulate stand-in LiDAR for tile 0653_6861")
 @option(
     "--kind",
-    type=click.Choice(["streets", "wings", "terraces", "old"]),
+    type=click.Choice(["streets", "wings", "terraces", "old", "large"]),
     default="streets",
     show_default=True,
     help="wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall to "
-    "wall; all with their true roofs as CityJSON",
+    "wall; large: schools, convents, factories, .. of 50 to 300 planes; all with their true roofs as CityJSON",
 )
 def towns(seed: int, out: Path, lidar: bool, kind: str) -> None:
     """Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats."""

@@ -21,7 +21,7 @@ from p2wss.data.las_classes import (
 MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE = 5, 0.2
 # lower points on a building that the classifier has missed may be a car, a hedge or rough ground
 MIN_HEIGHT_M = 2.0
-_NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
+NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 
 
 def stride(num: int, max_count: int) -> int:
@@ -57,7 +57,7 @@ def points_on_buildings(
     counts = np.diff(offset)
     building = np.repeat(np.arange(len(counts)), counts)
     is_classified = inside & (classification == BUILDING_CLASS)
-    is_high = inside & ~has_class(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
+    is_high = inside & ~has_class(classification, NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
     is_solid = is_high & ~has_class(classification, PLANT_CLASSES)
     num_classified, num_high, num_solid = (
         np.bincount(building[each], minlength=len(counts)) for each in (is_classified, is_high, is_solid)

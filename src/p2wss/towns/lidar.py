@@ -37,12 +37,14 @@ PULSES_PER_S = 270_000
 HEADINGS_DEG = (64.0, 244.0)  # two strips, there and back
 
 
-def write_lidar(town: list[DrawnBuilding], path: Path, rng: np.random.Generator) -> None:
+def write_lidar(
+    town: list[DrawnBuilding], path: Path, rng: np.random.Generator, swings_per_s: float = SWINGS_PER_S
+) -> None:
     """Scan the buildings of the LiDAR tile into LAZ (LAS 1.4, point format 6), in the order of flight."""
     buildings = [building for building in town if in_lidar_tile(building.footprint)]
     surface = Surface(buildings, rng)
     trees = draw_trees(buildings, rng)
-    strips = [_scan(surface, trees, number, rng) for number in range(len(HEADINGS_DEG))]
+    strips = [_scan(surface, trees, number, swings_per_s, rng) for number in range(len(HEADINGS_DEG))]
     points = {name: np.concatenate([strip[name] for strip in strips]) for name in strips[0]}
     keep = surface.near(points["x"], points["y"]) & (points["x"] >= LIDAR_X_MIN) & (points["y"] < LIDAR_Y_MAX)
     keep &= _recorded(buildings, points, rng)
@@ -87,7 +89,9 @@ def _recorded(
     return keep
 
 
-def _scan(surface: Surface, trees: np.ndarray, strip: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+def _scan(
+    surface: Surface, trees: np.ndarray, strip: int, swings_per_s: float, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
     """One strip: pulses of an oscillating mirror, each followed down to the first surface."""
     heading = np.radians(90 - HEADINGS_DEG[strip])
     forward, right = (
@@ -99,7 +103,7 @@ def _scan(surface: Surface, trees: np.ndarray, strip: int, rng: np.random.Genera
     middle = np.array([surface.x_min, surface.y_min]) + size / 2 + (-1) ** strip * 35 * right
     half_length = np.hypot(*size) / 2 + 30
     time = np.arange(0, 2 * half_length / SPEED_M_S, 1 / PULSES_PER_S)
-    angle = np.radians(SWING_DEG) * np.sin(2 * np.pi * SWINGS_PER_S / 2 * time)
+    angle = np.radians(SWING_DEG) * np.sin(2 * np.pi * swings_per_s / 2 * time)
     plane_z = float(ground_z_m(*middle)) + FLIGHT_M
     plane_xy = middle + (SPEED_M_S * time - half_length)[:, None] * forward
     sideways = np.tan(angle)[:, None] * right  # horizontal metres per metre of descent

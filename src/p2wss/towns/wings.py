@@ -8,7 +8,7 @@ camber of level roofs, chimneys. All sizes below are in metres and degrees.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -29,12 +29,21 @@ _INNER = ("gable", "hip", "half-hip")  # roofs whose ridge is in the middle
 
 
 def draw_wings(rng: np.random.Generator, shapes: Sequence[str] = SHAPES) -> list[DrawnBuilding]:
-    """Groups of these shapes in turn, each turned at random, in lines within the LiDAR tile. A row or terrace is a
-    group of several buildings, any other shape a group of one."""
+    """Groups of these shapes. A row or terrace is a group of several buildings, any other shape a group of one."""
+    return draw_groups(rng, shapes, _draw_group)
+
+
+def draw_groups(
+    rng: np.random.Generator,
+    shapes: Sequence[str],
+    draw: Callable[[str, np.random.Generator], list[list[Wing]]],
+) -> list[DrawnBuilding]:
+    """Groups of these shapes in turn, each turned at random, in lines within the LiDAR tile. draw: the bodies of each
+    building of a group, in the group's own frame."""
     town: list[DrawnBuilding] = []
     x, y, depth = LIDAR_X_MIN + _MARGIN_M, LIDAR_Y_MAX - _MARGIN_M, 0.0
     for shape in itertools.cycle(shapes):
-        group = _draw_group(shape, rng)
+        group = draw(shape, rng)
         turn = rng.uniform(0, 2 * np.pi)
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         corner = np.concatenate([wing.outline for wings in group for wing in wings]) @ rotation
@@ -72,7 +81,7 @@ def _map(buildings: list[DrawnBuilding], rng: np.random.Generator) -> None:
         building.footprint = cast(shapely.Polygon, shapely.normalize(shapely.set_precision(mapped, 0.1)))
 
 
-def _body(
+def body(
     origin: Sequence[float],
     turn_deg: float,
     box: tuple[float, float, float, float],
@@ -111,11 +120,11 @@ def _draw_group(shape: str, rng: np.random.Generator) -> list[list[Wing]]:
         number, depth, pitch = int(rng.integers(2, 6)), rng.uniform(5, 10), rng.uniform(3, 25)
         length, eave = rng.uniform(8, 40), rng.uniform(2.8, 6)
         boxes = [(0, k * depth, length, (k + 1) * depth) for k in range(number)]
-        return [[_body((0, 0), 0, box, eave, pitch, "shed") for box in boxes]]
+        return [[body((0, 0), 0, box, eave, pitch, "shed") for box in boxes]]
     if shape == "hall":
         length, width = rng.uniform(20, 60), rng.uniform(12, 30)
         roof = str(rng.choice(["gable", "hip", "uneven", "shed"], p=[0.6, 0.15, 0.15, 0.1]))
-        main = _body(
+        main = body(
             (0, 0), 0, (0, -width / 2, length, width / 2), rng.uniform(4, 8), rng.uniform(2, 14), roof
         )
         return [[main, *_annex(main, length, width, rng)]]
@@ -125,7 +134,7 @@ def _draw_group(shape: str, rng: np.random.Generator) -> list[list[Wing]]:
     pitch = rng.uniform(4, 15) if low else rng.uniform(20, 55)
     eave = float(np.clip(draw_eave_m(int(rng.integers(1, 4)), rng), 2.5, 12))
     roof = str(rng.choice([*_INNER, "uneven", "mansard"], p=[0.45, 0.25, 0.1, 0.1, 0.1]))
-    main = _body((0, 0), 0, (0, -width / 2, length, width / 2), eave, pitch, roof)
+    main = body((0, 0), 0, (0, -width / 2, length, width / 2), eave, pitch, roof)
     wings = [main]
     across = min(rng.uniform(0.45, 0.8) * width, 0.35 * length)
     skew = rng.choice([0, rng.uniform(-35, 35)])
@@ -148,10 +157,10 @@ def _draw_group(shape: str, rng: np.random.Generator) -> list[list[Wing]]:
     if rng.random() < 0.3:
         wings += _annex(main, length, width, rng)
     if roof in _INNER and rng.random() < 0.5:
-        wings += _dormers(main, roof, length, width, rng)
+        wings += draw_dormers(main, roof, length, width, rng)
     if rng.random() < 0.5:
         u, v = rng.uniform(0.1, 0.9) * length, rng.uniform(-0.2, 0.2) * width
-        chimney = _body((u, v), 0, (0, 0, 0.7, 0.6), main.ridge_m + rng.uniform(0.3, 1), 0, "flat")
+        chimney = body((u, v), 0, (0, 0, 0.7, 0.6), main.ridge_m + rng.uniform(0.3, 1), 0, "flat")
         wings.append(replace(chimney, detail="chimney"))
     return [wings]
 
@@ -167,7 +176,7 @@ def _wing(
 ) -> Wing:
     """A body across the main one, from ``u`` on its axis. If the main roof does not hide its start, it begins at the
     far side of the main one."""
-    wing = _body((u, 0), turn_deg, box, eave, pitch, roof, (1,) if box[0] == 0 else (1, 3))
+    wing = body((u, 0), turn_deg, box, eave, pitch, roof, (1,) if box[0] == 0 else (1, 3))
     start = np.vstack([wing.outline[[0, 3]], [[u, 0.0]]])
     is_hidden = main.eave_m + main.rise_m(start) >= wing.eave_m + wing.rise_m(start) + 0.05
     if box[0] < 0 or is_hidden.all():
@@ -189,22 +198,24 @@ def _annex(main: Wing, length: float, width: float, rng: np.random.Generator) ->
     origin, turn_deg, box = ((length, 0), 0, (0, low, deep, high))
     if roof == "shed":
         origin, turn_deg, box = (length + deep, 0), 90, (low, 0, high, deep)
-    return [_body(origin, turn_deg, box, eave, rng.uniform(5, 20), roof)]
+    return [body(origin, turn_deg, box, eave, rng.uniform(5, 20), roof)]
 
 
-def _dormers(main: Wing, roof: str, length: float, width: float, rng: np.random.Generator) -> list[Wing]:
+def draw_dormers(
+    main: Wing, roof: str, length: float, width: float, rng: np.random.Generator, most: int = 3
+) -> list[Wing]:
     """Equal dormers on one side, from the ridge to a wall behind the eave."""
     wide, back, wall = rng.uniform(1.4, 2.6), rng.uniform(0.4, 1.2), rng.uniform(1.0, 1.5)
     kind = str(rng.choice(["gable", "shed", "flat"], p=[0.5, 0.25, 0.25]))
     margin = wide / 2 + (width / 2 if roof != "gable" else 0.8)
-    number = min(int(rng.integers(1, 4)), max(int((length - 2 * margin) / (wide + 0.8) + 1), 0))
+    number = min(int(rng.integers(1, most + 1)), max(int((length - 2 * margin) / (wide + 0.8) + 1), 0))
     deep = width / 2 - back
     eave = main.eave_m + back * np.tan(np.radians(main.pitch_deg)) + wall
     places = (np.arange(number) + 0.5) / number * (length - 2 * margin) + margin
     bodies = [
-        _body((u + wide / 2, -width / 2 + back), 0, (-wide, 0, 0, deep), eave, main.pitch_deg / 4, "shed")
+        body((u + wide / 2, -width / 2 + back), 0, (-wide, 0, 0, deep), eave, main.pitch_deg / 4, "shed")
         if kind == "shed"
-        else _body((u, 0), -90, (0, -wide / 2, deep, wide / 2), eave, main.pitch_deg, kind)
+        else body((u, 0), -90, (0, -wide / 2, deep, wide / 2), eave, main.pitch_deg, kind)
         for u in places
     ]
     return [body for body in bodies if body.ridge_m < main.ridge_m - 0.1]
@@ -226,15 +237,15 @@ def _draw_flat(rng: np.random.Generator) -> list[Wing]:
     high = rng.uniform(0.2, 0.8) if rng.random() < 0.5 else 0.0
     wings, details = [], []
     for x0, y0, x1, y1, top in boxes:
-        wings.append(_body((0, 0), 0, (x0, y0, x1, y1), top, 0, "flat"))
-        details.append(_body((0, 0), 0, (x0, y0, x1, y1), top, camber, "hip"))
+        wings.append(body((0, 0), 0, (x0, y0, x1, y1), top, 0, "flat"))
+        details.append(body((0, 0), 0, (x0, y0, x1, y1), top, camber, "hip"))
         strips = [
             (x0, y0, x1, y0 + 0.3),
             (x0, y1 - 0.3, x1, y1),
             (x0, y0, x0 + 0.3, y1),
             (x1 - 0.3, y0, x1, y1),
         ]
-        details += [_body((0, 0), 0, strip, top + high, 0, "flat") for strip in strips if high]
+        details += [body((0, 0), 0, strip, top + high, 0, "flat") for strip in strips if high]
     return wings + [replace(detail, detail="parapet or camber") for detail in details]
 
 
@@ -247,12 +258,12 @@ def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
         rng.uniform(25, 48),
     )
     roof = str(rng.choice(["gable", "uneven", "mansard"], p=[0.7, 0.15, 0.15]))
-    house = [_body((0, 0), 0, (0, -width / 2, wide, width / 2), eave, pitch, roof)]
+    house = [body((0, 0), 0, (0, -width / 2, wide, width / 2), eave, pitch, roof)]
     if roof == "gable" and rng.random() < 0.5:
-        house += _dormers(house[0], roof, wide, width, rng)
+        house += draw_dormers(house[0], roof, wide, width, rng)
     if rng.random() < 0.5:
         box = (0, width / 2, rng.uniform(0.4, 0.6) * wide, width / 2 + rng.uniform(2.5, 4.5))
-        house.append(_body((0, 0), 0, box, 2.7, 0, "flat"))
+        house.append(body((0, 0), 0, box, 2.7, 0, "flat"))
     number = int(rng.integers(3, 8))
     step_m = (np.arange(number) >= rng.integers(number)) * rng.choice([0, rng.uniform(0.3, 2)])
     return [
@@ -273,10 +284,10 @@ def _draw_terrace(rng: np.random.Generator) -> list[list[Wing]]:
     with_dormers = roof == "gable" and rng.random() < 0.5
     houses = []
     for u in wide * np.arange(rng.integers(2, 8)):
-        main = _body((u, 0), 0, (0, -width / 2, wide, width / 2), eave, pitch, roof)
+        main = body((u, 0), 0, (0, -width / 2, wide, width / 2), eave, pitch, roof)
         house = [main]
         if with_dormers and rng.random() < 0.7:
-            house += _dormers(main, roof, wide, width, rng)
+            house += draw_dormers(main, roof, wide, width, rng)
             house[1:] = [replace(each, outline=np.add(each.outline, (u, 0))) for each in house[1:]]
         for side in (1, -1):
             if rng.random() < (0.75 if side == 1 else 0.15):
@@ -287,7 +298,7 @@ def _draw_terrace(rng: np.random.Generator) -> list[list[Wing]]:
                 origin = (start, side * (width / 2 + deep))
                 kind = "flat" if rng.random() < 0.65 else "shed"
                 box = (0, 0, share * wide, deep)
-                house.append(_body(origin, turn_deg, box, low_m, rng.uniform(5, 25), kind))
+                house.append(body(origin, turn_deg, box, low_m, rng.uniform(5, 25), kind))
         houses.append(house)
     return houses
 

@@ -13,7 +13,13 @@ from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
+from p2wss.data.las_classes import (
+    BUILDING_CLASS,
+    GROUND_CLASS,
+    NEIGHBOUR_CLASS,
+    UNCLASSIFIED_CLASS,
+    VEGETATION_CLASS,
+)
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import shaft_points
 from p2wss.mesh.surface import distance_to_mesh
@@ -50,6 +56,20 @@ def test_the_roof_over_the_border_is_the_neighbours_from_either_side(own_z: floa
     theirs = (point_m[:, 0] > 7.5) & (point_m[:, 0] < 8)
     assert (found[theirs] == NEIGHBOUR_CLASS).mean() > 0.95 and (found[~theirs] == BUILDING_CLASS).all()
     assert (classes == BUILDING_CLASS).all()
+
+
+def test_a_roof_that_the_producer_took_for_trees_is_one_and_a_crown_over_it_is_none() -> None:
+    """Some points at the eaves have the class of buildings."""
+    point_m, draw = surface({(-1, 9): 5.0}, slope=0.3), np.random.default_rng(0)
+    inside = (point_m[:, 0] > 0) & (point_m[:, 0] < 8)
+    classes = np.where(np.arange(len(point_m)) % 40, VEGETATION_CLASS, BUILDING_CLASS).astype(np.uint8)
+    found = own_classes([RING], point_m, classes)
+    assert (found[inside] == BUILDING_CLASS).mean() > 0.98 and (found[~inside] == classes[~inside]).all()
+    crown_m = point_m + [[0, 0, 2]] * draw.uniform(0, 2, (len(point_m), 1))
+    assert (own_classes([RING], crown_m, classes) == classes).all()
+    # a few trees over a roof
+    most = np.where(np.arange(len(point_m)) % 3, BUILDING_CLASS, VEGETATION_CLASS).astype(np.uint8)
+    assert (own_classes([RING], point_m, most) == most).all()
 
 
 def test_buildings_are_fitted_to_their_own_points() -> None:

@@ -4,7 +4,8 @@ Along the border to another building, points may be of that one: its roof reache
 border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that the building has
 only in a strip along it, with a step to what it has further within, is the neighbour's if that is at the same height
 beyond the border, and so are returns from walls above the building's own roof. The same rule holds from the other side,
-so that no order of buildings matters. Roofs that the producer took for ground are told by what is beside them.
+so that no order of buildings matters. Roofs that the producer took for ground show by what is beside them, and those
+that it took for trees by their planes.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ from p2wss.data.las_classes import (
     WATER_CLASS,
     has_class,
 )
-from p2wss.data.points import MIN_HEIGHT_M
+from p2wss.data.points import MIN_CLASSIFIED_SHARE, MIN_HEIGHT_M, NEVER_ON_A_BUILDING
 from p2wss.fit.planes.detection import detect, distances
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
+from p2wss.reconstruction.points.unclassified import planar
 from p2wss.skeleton import ordering
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.nearest import nearest
@@ -48,6 +50,7 @@ class Rules:
     turn: difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border
     where it has more points there than this share of those in the strip; crossing_share: of one that crosses another.
     most_share: where more of a plane's points in the strip than this share are the neighbour's, all of them are.
+    roof_share: points of plants are a roof if more than this share of them lie on planes.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -63,6 +66,7 @@ class Rules:
     turn: float = 0.15
     crossing_share: float = 0.75
     most_share: float = 0.5
+    roof_share: float = 0.5
 
 
 RULES = Rules()
@@ -83,6 +87,7 @@ def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification
     polygon = shapely.Polygon(rings[0], rings[1:])
     inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
     result = _with_roofs_as_ground(inside, point_m, classification)
+    result = _with_roofs_as_plants(inside, point_m, result)
     theirs = _theirs(polygon, inside, point_m, result)
     return np.where(theirs, np.uint8(NEIGHBOUR_CLASS), result) if theirs.any() else result
 
@@ -98,6 +103,21 @@ def _with_roofs_as_ground(inside: np.ndarray, point_m: np.ndarray, classificatio
         _, ground = nearest(point_m[beside, :2], point_m[roof, :2])
         roof[roof] = point_m[roof, 2] > point_m[beside, 2][ground[:, 0]] + MIN_HEIGHT_M
     return np.where(roof, np.uint8(BUILDING_CLASS), classification)
+
+
+def _with_roofs_as_plants(inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
+    """The classes (m,) with class building for points inside of plants that lie on planes, where hardly any others are
+    as high and most of them do: a roof and no crown."""
+    is_high = inside & (point_m[:, 2] >= MIN_HEIGHT_M) & ~has_class(classification, NEVER_ON_A_BUILDING)
+    plant = is_high & has_class(classification, PLANT_CLASSES)
+    num_plant = np.count_nonzero(plant)
+    if np.count_nonzero(is_high) - num_plant >= MIN_CLASSIFIED_SHARE * num_plant:
+        return classification
+    is_planar = planar(point_m[plant])
+    if np.count_nonzero(is_planar) < RULES.roof_share * num_plant:
+        return classification
+    plant[plant] = is_planar
+    return np.where(plant, np.uint8(BUILDING_CLASS), classification)
 
 
 def _theirs(
