@@ -228,7 +228,9 @@ def candidates_of(
     seen_square = ((seen_m - low_m) / size_m).astype(int) @ [shape[1], 1]
     num_planes = int(label.max()) + 1
     seen = np.unique(seen_square * num_planes + label)
-    wanted, wanted_of = np.unique(square, return_inverse=True)
+    is_wanted = np.zeros(shape.prod(), bool)
+    is_wanted[square] = True
+    wanted, wanted_of = np.flatnonzero(is_wanted), (np.cumsum(is_wanted) - 1)[square]
     middle_m = low_m + size_m * (np.column_stack(np.divmod(wanted, shape[1])) + 0.5)
     to_seen_m = nearest(seen_m, middle_m)[0][:, 0]
     square_first, square_plane = _candidates_at(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,7 +40,8 @@ def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.nd
 def rows_of(label: np.ndarray, num_planes: int) -> list[np.ndarray]:
     """Of each plane the rows of its points, ascending. label: (m,), the plane of each point, -1 for none."""
     order = np.argsort(label, kind="stable")
-    return np.split(order, np.searchsorted(label[order], np.arange(num_planes + 1)))[1:-1]
+    begin = np.searchsorted(label[order], np.arange(num_planes + 1)).tolist()
+    return [order[first:last] for first, last in pairwise(begin)]
 
 
 def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from functools import cache
+from itertools import compress, pairwise
 from typing import NamedTuple
 
 import numpy as np
 import shapely
 
-from p2wss.fit.directions import edge_ends
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
@@ -80,20 +80,32 @@ def lines_of(
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
     edges = edges_of(rings)
-    meets, steps = [], []
-    for (i, j), sides in _borders(label, point_m, settings.near_m).items():
-        border = np.concatenate(sides)
-        slope = plane[i] - plane[j]
-        fold = np.hypot(slope[0], slope[1])
-        if fold > _PARALLEL:
-            meet = Line(slope[:2] / fold, -slope[2] / fold)
-            off_m = np.abs(border @ meet.normal - meet.offset_m)
-            near = off_m < settings.off_m
-            if near.sum() >= _MIN_BORDER:
-                meets.append(meet.along(border[near], settings.reach_m))
-            sides = [side[np.abs(side @ meet.normal - meet.offset_m) > settings.off_m] for side in sides]
-        if min(map(len, sides)) >= _MIN_BORDER:
-            steps += _steps(sides, along, settings)
+    pair, side, border_m = _borders(label, point_m, settings.near_m)
+    slope = plane[pair[:, 0]] - plane[pair[:, 1]]
+    fold = np.hypot(slope[:, 0], slope[:, 1])
+    meet = slope / np.maximum(fold, _PARALLEL)[:, None]
+    of_pair, (x, y) = side // 2, border_m.T
+    (normal_x, normal_y, height_m), is_meet = meet[of_pair].T, (fold > _PARALLEL)[of_pair]
+    off_m = np.abs(x * normal_x + y * normal_y + height_m)
+    is_near, is_off = is_meet & (off_m < settings.off_m), ~is_meet | (off_m > settings.off_m)
+    is_near &= (np.bincount(of_pair[is_near], minlength=len(pair)) >= _MIN_BORDER)[of_pair]
+    shown, first = np.unique(of_pair[is_near], return_index=True)
+    place_m = (y * normal_x - x * normal_y)[is_near]
+    low_m = np.minimum.reduceat(place_m, first) - settings.reach_m
+    high_m = np.maximum.reduceat(place_m, first) + settings.reach_m
+    meets = [
+        Line(normal, *rest)
+        for normal, *rest in zip(
+            meet[shown, :2], *np.array([-meet[shown, 2], low_m, high_m]).tolist(), strict=True
+        )
+    ]
+    steps, turned = [], np.add.outer(along, np.arange(4) * np.pi / 2).ravel()
+    normals = np.column_stack([np.cos(turned), np.sin(turned)])
+    border_m, num_off = border_m[is_off], np.bincount(side[is_off], minlength=2 * len(pair))
+    end = np.cumsum(num_off).reshape(-1, 2)
+    for k in np.flatnonzero(num_off.reshape(-1, 2).min(axis=1) >= _MIN_BORDER).tolist():
+        one, both = num_off[2 * k], border_m[end[k, 0] - num_off[2 * k] : end[k, 1]]
+        steps += _steps(both, int(one), normals, settings)
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
     axes = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2)
@@ -111,7 +123,7 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
     result = []
     for ring in rings:
-        edge = np.diff(edge_ends([ring]), axis=1)[:, 0]
+        edge = np.concatenate([ring[1:], ring[:1]]) - ring
         normal = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.hypot(edge[:, 0], edge[:, 1])[:, None]
         offset_m = (normal * ring).sum(axis=1).tolist()
         # the edge before each is at the same place of an array that begins with the last
@@ -124,17 +136,24 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     return result
 
 
+@cache
+def _shake_m(size: int) -> np.ndarray:
+    """Small moves (size, 2), of which fewer would be the first."""
+    return np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (size, 2))
+
+
 def _borders(
     label: np.ndarray, point_m: np.ndarray, near_m: float
-) -> dict[tuple[int, int], list[np.ndarray]]:
-    """By pairs of planes, the places (m, 2) of points of each that are beside a point of the other."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(pairs of planes (p, 2), sides (m,), places (m, 2)) of points of one plane that are beside a point of another.
+    Sides ascend: ``2 k`` at the first plane of pair k, ``2 k + 1`` at the second."""
     rows = np.flatnonzero(label >= 0)
     # of points at one place the first
     rows = rows[np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)[1]]
     if len(rows) < 4:
-        return {}
+        return np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2))
     # GEOS fails on some regular grids, so that each point is moved a little
-    site_m = point_m[rows, :2] + np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (len(rows), 2))
+    site_m = point_m[rows, :2] + _shake_m(1 << len(rows).bit_length())[: len(rows)]
     links, x_m = [], point_m[rows, 0]
     for first in range(0, len(rows), _STRIP):
         # of many points in strips across, with what is beside: GEOS takes half a kilobyte for each
@@ -152,28 +171,21 @@ def _borders(
     link = link[np.hypot(apart[:, 0], apart[:, 1]) < near_m]
     link = np.where(label[link[:, :1]] < label[link[:, 1:]], link, link[:, ::-1])
     size = len(label)
-    pair_of = label[link] @ [size, 1]
-    pairs, sides = np.unique(pair_of), []
-    for side in (0, 1):
-        number, row = np.divmod(np.unique(pair_of * size + link[:, side]), size)
-        sides.append(np.split(point_m[row, :2], np.searchsorted(number, pairs[1:])))
-    return {divmod(pair, size): list(each) for pair, *each in zip(pairs.tolist(), *sides, strict=False)}
+    pairs, pair_of = np.unique(label[link] @ [size, 1], return_inverse=True)
+    side, row = np.divmod(np.unique((2 * pair_of[:, None] + [0, 1]) * size + link), size)
+    return np.column_stack(np.divmod(pairs, size)), side, point_m[row, :2]
 
 
-def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawing) -> list[Line]:
-    """Lines in the given directions that have the points of one side on one hand and the others on the other."""
-    one, other = sides
-    both = np.concatenate([one, other])
-    turned = np.add.outer(angles, np.arange(4) * np.pi / 2).ravel()
-    normal = np.column_stack([np.cos(turned), np.sin(turned)])
+def _steps(both: np.ndarray, num_one: int, normal: np.ndarray, settings: Drawing) -> list[Line]:
+    """Lines across the given directions (d, 2) that have the points of one side, the first ``num_one`` of both (m, 2),
+    on one hand and the others on the other."""
     place = both @ normal.T
-    order = np.argsort(place, axis=0, kind="stable")
-    place, is_other = np.take_along_axis(place, order, axis=0), order >= len(one)
-    num_wrong = (np.cumsum(is_other, axis=0) + len(one) - np.cumsum(~is_other, axis=0))[:-1]
-    best = num_wrong.argmin(axis=0)
+    is_other = np.argsort(place, axis=0, kind="stable") >= num_one
+    num_wrong = (2 * np.cumsum(is_other, axis=0) + (num_one - np.arange(1, len(both) + 1))[:, None])[:-1]
+    best, num_fewest = num_wrong.argmin(axis=0), settings.wrong_share * min(num_one, len(both) - num_one)
     result = []
-    for i in np.flatnonzero(num_wrong.min(axis=0) < settings.wrong_share * min(len(one), len(other))):
-        line = Line(normal[i], float(place[best[i] : best[i] + 2, i].mean()))
+    for i in np.flatnonzero(num_wrong.min(axis=0) < num_fewest).tolist():
+        line = Line(normal[i], float(np.sort(place[:, i])[best[i] : best[i] + 2].mean()))
         result.append(line.along(both, settings.reach_m))
     return result
 
@@ -246,13 +258,22 @@ def _extents(
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
     """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
     targets, end_m = [*edges, *steps], ends_of(steps)
-    result: dict[int, Line] = {}
+    normal, offset_m = as_arrays(targets)
     min_along = float(np.cos(np.radians(settings.same_deg / 2)))
-    same = _first_same(*as_arrays(targets), end_m.mean(axis=1), min_along, settings.snap_m)
-    for own, (number, ends) in enumerate(zip(same.tolist(), end_m, strict=True), len(edges)):
-        line = result.get(number, targets[number])
-        result[number] = line.along(ends, 0.0) if number < own else line
-    return list(result.values())
+    same = _first_same(normal, offset_m, end_m.mean(axis=1), min_along, settings.snap_m)
+    place_m = cross(normal[same][:, None], end_m)
+    is_own = same == np.arange(len(edges), len(targets))
+    own = [(line.low_m, line.high_m) for line in compress(steps, is_own)]
+    place_m[is_own] = np.reshape(own, (-1, 2))
+    _, first, number = np.unique(same, return_index=True, return_inverse=True)
+    low_m, high_m = np.full(len(first), np.inf), np.full(len(first), -np.inf)
+    np.minimum.at(low_m, number, place_m.min(axis=1))
+    np.maximum.at(high_m, number, place_m.max(axis=1))
+    order = np.argsort(first)
+    return [
+        targets[k]._replace(low_m=low, high_m=high)
+        for k, low, high in zip(*(each[order].tolist() for each in (same[first], low_m, high_m)), strict=True)
+    ]
 
 
 @entry

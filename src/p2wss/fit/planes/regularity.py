@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.fit.directions import turn_between
-from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance, rows_of
+from p2wss.fit.planes.detection import RoofPlanes, fitted, heights, mean_distance, rows_of
 from p2wss.fit.points import median
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.angles import bearings
@@ -76,13 +76,14 @@ def _equally_steep(
 
 def _same(plane: np.ndarray, point_m: np.ndarray, rows: Sequence[np.ndarray], slack_m: float) -> np.ndarray:
     """int (k,): of each plane the number of the larger one that is as near to its points, or its own."""
-    same, larger = np.arange(len(plane)), list[int]()
-    for j in sorted(range(len(plane)), key=lambda j: -len(rows[j])):
-        own = point_m[rows[j]]
-        apart_m = np.abs((plane[larger] - plane[j]) @ np.append(own[:, :2].mean(axis=0), 1.0))
-        own_m = mean_distance(plane[j], point_m, rows[j])
-        for i in (larger[k] for k in np.flatnonzero(apart_m < own_m + slack_m).tolist()):
-            if mean_distance(plane[i], point_m, rows[j]) < own_m + slack_m:
+    same, larger, size = np.arange(len(plane)), list[int](), np.array([*map(len, rows)])
+    middle_m = np.add.reduceat(point_m[np.concatenate(rows), :2], np.cumsum(size) - size) / size[:, None]
+    height_m = heights(plane, middle_m)
+    apart_m = np.abs(height_m - np.diag(height_m)[:, None]).tolist()
+    for j in np.argsort(-size, kind="stable").tolist():
+        most_m = mean_distance(plane[j], point_m, rows[j]) + slack_m
+        for i in larger:
+            if apart_m[j][i] < most_m and mean_distance(plane[i], point_m, rows[j]) < most_m:
                 same[j] = i
                 break
         else:

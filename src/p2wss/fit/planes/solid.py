@@ -84,16 +84,16 @@ class _Borders:
         """The borders of the connected cells of one plane, without vertices within straight edges."""
         numbers = np.append(label, OUTSIDE)[cells.pair]
         is_border = numbers[:, 0] != numbers[:, 1]
+        used, side = np.unique(cells.side[is_border], return_inverse=True)
         face, line = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
-        sides = (each[is_border].tolist() for each in (cells.side, numbers, cells.line))
+        sides = (each.tolist() for each in (side.reshape(-1, 2), numbers[is_border], cells.line[is_border]))
         for (start, end), (left, right), number in zip(*sides, strict=True):
             for edge, beside in (((start, end), left), ((end, start), right)):
                 if beside != OUTSIDE:
                     face[edge], line[edge] = beside, number
-        used = np.array(sorted({vertex for edge in face for vertex in edge}))
-        offset_m = np.abs(cells.xy_m[used, None] - corner_m[None]).max(axis=2)
-        nearest, is_used = used[offset_m.argmin(axis=0)], offset_m.min(axis=0) < _STRAIGHT_M
-        xy_m = cells.xy_m.copy()
+        xy_m = cells.xy_m[used]
+        offset_m = np.abs(xy_m[:, None] - corner_m[None]).max(axis=2)
+        nearest, is_used = offset_m.argmin(axis=0), offset_m.min(axis=0) < _STRAIGHT_M
         xy_m[nearest[is_used]] = corner_m[is_used]
         result = cls(face, line, xy_m, set(nearest[is_used].tolist()))
         result._drop_short_sides()
@@ -104,7 +104,7 @@ class _Borders:
         """Makes one of the ends of short sides, where no two faces are then on one side of another; a face of no width
         vanishes. Corners stay."""
         edges = np.array([*self.face])
-        step_m = np.diff(self.xy_m[edges], axis=1)[:, 0]
+        step_m = self.xy_m[edges[:, 1]] - self.xy_m[edges[:, 0]]
         for edge in map(tuple, edges[np.hypot(*step_m.T) < _STRAIGHT_M].tolist()):
             end, gone = edge if edge[1] not in self.fixed else edge[::-1]
             if edge not in self.face or gone in self.fixed:
@@ -159,10 +159,10 @@ class _Borders:
         xy_m, face = self.xy_m, self.face
         edges = [edge for edge in face if edge[0] < edge[1] or edge[::-1] not in face]
         edge = np.array(edges)
-        is_outer = np.array([each[::-1] not in face for each in edges])
-        slope = np.array([plane[face[each]] - plane[face.get(each[::-1], 0)] for each in edges])
+        left, right = np.array([(face[each], face.get(each[::-1], OUTSIDE)) for each in edges]).T
+        is_outer, slope, ends_m = right == OUTSIDE, plane[left] - plane[right], xy_m[edge]
         fold = np.hypot(slope[:, 0], slope[:, 1])
-        off_m = np.abs((xy_m[edge] * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
+        off_m = np.abs((ends_m * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
         is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
         normals, offsets_m = as_arrays(cells.lines)
         line = np.array([self.line[each] for each in edges])
@@ -170,7 +170,7 @@ class _Borders:
         normal, offset_m = normals[line], offsets_m[line]
         normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
         offset_m[is_meet] = -slope[is_meet, 2] / fold[is_meet]
-        ahead = np.diff(xy_m[edge], axis=1)[:, 0]
+        ahead = ends_m[:, 1] - ends_m[:, 0]
         is_left = ahead[:, 0] * normal[:, 1] > ahead[:, 1] * normal[:, 0]
         wall = dict[tuple[int, int], tuple[int, ...]]()
         for each, meets, number, left in zip(
@@ -180,12 +180,17 @@ class _Borders:
                 if way in face:
                     wall[way] = (*((face[way], face[way[::-1]]) if meets else (number,)), side)
         weight = np.where(is_edge, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
-        # vertices that nothing determines stay
-        matrix, right_side = np.tile(_KEEP_WEIGHT * np.eye(2), (len(xy_m), 1, 1)), _KEEP_WEIGHT * xy_m
-        for vertex in edge.T:
-            np.add.at(matrix, vertex, weight[:, None, None] * normal[:, :, None] * normal[:, None])
-            np.add.at(right_side, vertex, (weight * offset_m)[:, None] * normal)
-        place_m = np.linalg.solve(matrix, right_side[..., None])[..., 0]
+        # of each vertex a matrix and the right side; those that nothing determines stay
+        matrix = (weight[:, None, None] * normal[:, :, None] * normal[:, None]).reshape(-1, 4)
+        terms = np.concatenate([matrix, (weight * offset_m)[:, None] * normal], axis=1)
+        keep = np.concatenate(
+            [np.tile(_KEEP_WEIGHT * np.eye(2).ravel(), (len(xy_m), 1)), _KEEP_WEIGHT * xy_m], axis=1
+        )
+        vertex = np.concatenate([np.arange(len(xy_m)), *edge.T])
+        sums = np.bincount(
+            (6 * vertex[:, None] + np.arange(6)).ravel(), np.concatenate([keep, terms, terms]).ravel()
+        ).reshape(-1, 6)
+        place_m = np.linalg.solve(sums[:, :4].reshape(-1, 2, 2), sums[:, 4:, None])[..., 0]
         step_m = place_m - xy_m
         is_moved = np.hypot(step_m[:, 0], step_m[:, 1]) < _MAX_MOVE_M
         is_moved[list(self.fixed)] = False
@@ -193,7 +198,7 @@ class _Borders:
         is_back = np.ones(1, bool)
         while is_back.any():
             result_m = np.where(is_moved[:, None], place_m, xy_m)
-            is_back = (np.diff(result_m[edge], axis=1)[:, 0] * ahead).sum(axis=1) < 0.0
+            is_back = ((result_m[edge[:, 1]] - result_m[edge[:, 0]]) * ahead).sum(axis=1) < 0.0
             is_moved[edge[is_back]] = False
         return result_m, wall
 
@@ -209,16 +214,16 @@ class _Network:
         plane: np.ndarray,
         place_m: np.ndarray,
     ) -> None:
-        self._face, self._wall, self._xy_m = dict(face), dict(wall), [*place_m]
+        self._face, self._wall, self._xy_m = dict(face), dict(wall), place_m.tolist()
         self._plane, self._coefficients = plane, plane.tolist()
         self._divide_at_crossings()
         self._vertices: list[tuple[float, float, float]] = []
         self._number: dict[tuple[int, int], int] = {}
         self._lift()
 
-    def _height(self, number: int, xy_m: np.ndarray) -> float:
-        a, b, c = self._coefficients[number]
-        return float(a * xy_m[0] + b * xy_m[1] + c)
+    def _height(self, number: int, xy_m: Sequence[float]) -> float:
+        (a, b, c), (x, y) = self._coefficients[number], xy_m
+        return float(a * x + b * y + c)
 
     def _divide_at_crossings(self) -> None:
         """Divides the edges along which two roofs change places as the higher one."""
@@ -228,7 +233,8 @@ class _Network:
             if rise[0] * rise[1] < 0 and min(map(abs, rise)) > _SAME_HEIGHT_M:
                 share = rise[0] / (rise[0] - rise[1])
                 middle = len(self._xy_m)
-                self._xy_m.append(self._xy_m[edge[0]] + share * (self._xy_m[edge[1]] - self._xy_m[edge[0]]))
+                ends = zip(*(self._xy_m[v] for v in edge), strict=True)
+                self._xy_m.append([one + share * (other - one) for one, other in ends])
                 for start, end in (edge, edge[::-1]):
                     self._face[start, middle] = self._face[middle, end] = self._face.pop((start, end))
                     self._wall[start, middle] = self._wall[middle, end] = self._wall.pop((start, end))
@@ -291,8 +297,9 @@ class _Network:
 
     def _turn(self, before: int, place: int, after: int) -> float:
         """The angle from the way back to the way on, clockwise."""
-        back, on = self._xy_m[before] - self._xy_m[place], self._xy_m[after] - self._xy_m[place]
-        turn = math.atan2(back[1], back[0]) - math.atan2(on[1], on[0])
+        x, y = self._xy_m[place]
+        back, on = (math.atan2(v - y, u - x) for u, v in (self._xy_m[before], self._xy_m[after]))
+        turn = back - on
         return (turn - 1e-12) % (2 * math.pi)
 
     def _triangles(self, rings: Sequence[tuple[int, list[int]]]) -> tuple[np.ndarray, np.ndarray]:
@@ -301,19 +308,19 @@ class _Network:
         numbers, places = zip(*rings, strict=True)
         xy_m, number = np.array(self._xy_m), np.repeat(np.arange(len(places)), [*map(len, places)])
         exterior = np.asarray(shapely.linearrings(xy_m[np.concatenate(places)], indices=number), object)
-        polygon, is_hole = np.asarray(shapely.polygons(exterior), object), ~shapely.is_ccw(exterior)
-        face_of_ring = np.arange(len(polygon))
+        is_hole, face_of_ring = ~shapely.is_ccw(exterior), np.arange(len(exterior))
         for hole in np.flatnonzero(is_hole).tolist():
+            polygon = np.asarray(shapely.polygons(exterior), object)
             around = ~is_hole & (np.array(numbers) == numbers[hole])
             around &= shapely.contains(polygon, shapely.point_on_surface(polygon[hole]))
             face_of_ring[hole] = np.where(around, shapely.area(polygon), np.inf).argmin()
         order = np.lexsort((is_hole, face_of_ring)).tolist()
         vertex = [self._number[place, numbers[i]] for i in order for place in places[i]]
         ring = np.repeat(np.arange(len(order)), [len(places[i]) for i in order])
-        number_of_face = np.unique(face_of_ring[order], return_inverse=True)[1]
+        number_of_face = np.cumsum(~is_hole[order]) - 1
         corner_m = xy_m[np.concatenate([places[i] for i in order])]
         triangle, face = triangulated(corner_m, np.array(vertex), ring, number_of_face)
-        number = np.array(numbers)[np.unique(face_of_ring)][face]
+        number = np.array(numbers)[~is_hole][face]
         triangle[number == OUTSIDE] = triangle[number == OUTSIDE, ::-1]
         return triangle, number
 

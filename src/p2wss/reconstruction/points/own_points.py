@@ -127,11 +127,14 @@ def _theirs(
     result = np.zeros(len(point_m), bool)
     is_solid = ~has_class(classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS))
     is_high = is_solid & (point_m[:, 2] >= MIN_HEIGHT_M)
+    is_beyond = is_high & ~inside
+    if not is_beyond.any():
+        return result
     for strip_m in RULES.strips_m:
-        core = polygon.buffer(-strip_m - RULES.core_m).buffer(RULES.core_m)
+        core = polygon.buffer(-strip_m - RULES.core_m)
         if not core.is_empty:
             break
-    if core.is_empty or not (is_high & ~inside).any():
+    else:
         return result
     inner = polygon.buffer(-RULES.band_m)
 
@@ -142,22 +145,23 @@ def _theirs(
 
     own = is_solid & inside
     own &= ~within(inner, own)
-    is_near = within(core.buffer(2 * strip_m), own)
+    is_near = within(core.buffer(RULES.core_m + 2 * strip_m), own)
     is_near &= ~within(polygon.buffer(-strip_m), is_near)
     is_deep = own & ~is_near
     if not is_near.any():
         return result
     surface = np.column_stack([point_m, np.full((len(point_m), 2), np.nan)])
-    band = np.flatnonzero(own | (is_high & ~inside))
+    band = np.flatnonzero(own | is_beyond)
     ring_m2 = polygon.buffer(strip_m).area - inner.area
-    chosen = point_m[band][even_order(point_m[band])[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
+    in_band_m = point_m[band]
+    chosen = in_band_m[even_order(in_band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]]
     found = detect(chosen, max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2), (), _DETECTION)
     # the last plane is that of points without one
     plane, label = np.vstack([found.plane, np.full(3, np.nan)]), np.full(len(point_m), len(found.plane))
-    label[band] = found.label[nearest(chosen, point_m[band])[1][:, 0]] % len(plane)
+    label[band] = found.label[nearest(chosen, in_band_m)[1][:, 0]] % len(plane)
     surface[:, 3:] = plane[label, :2]
     num_near, num_deep, num_beyond = (
-        np.bincount(label[mask], minlength=len(plane)) for mask in (is_near, is_deep, is_high & ~inside)
+        np.bincount(label[mask], minlength=len(plane)) for mask in (is_near, is_deep, is_beyond)
     )
     has_plane = label < len(found.plane)
     if is_deep.any():
