@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -21,7 +22,13 @@ NEIGHBOUR_CLASS = NOISE_CLASSES[1]
 def has_class(classification: np.ndarray, classes: Sequence[int]) -> np.ndarray:
     """bool (n,): which points, uint8 (n,), are of some classes."""
     # numpy's own function takes eight times as long for the points of a building
-    return np.asarray(np.bincount(classes, minlength=256)[classification] > 0)
+    return _is_one_of(tuple(classes)).take(classification)
+
+
+@cache
+def _is_one_of(classes: tuple[int, ...]) -> np.ndarray:
+    """bool (256,): which classes are some of these."""
+    return np.bincount(classes, minlength=256) > 0
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ def wall_hits(point_m: np.ndarray) -> np.ndarray:
     size = np.array([_WALL_CELL_M, _WALL_CELL_M, _SAME_HEIGHT_M])
     x, y, z = np.floor((point_m - point_m.min(axis=0)) / size).astype(np.int64).T
     column = x * (y.max() + 1) + y
-    _, column, count = np.unique(column, return_inverse=True, return_counts=True)
+    count = np.bincount(column)
+    column, count = (np.cumsum(count > 0) - 1)[column], count[count > 0]
     height, last = point_m[np.lexsort((point_m[:, 2], column)), 2], np.cumsum(count) - 1
     second_highest_m = height[np.maximum(last - 1, last - count + 1)]
     below = point_m[:, 2] < second_highest_m[column] - _BELOW_TOP_M

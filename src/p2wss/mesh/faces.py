@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2wss.mesh.topology import border_rings
+from p2wss.mesh.topology import border_rings, first_of_faces
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def surfaces_of(
     kept where a neighbour has a corner. A hole that touches the exterior or another hole in a vertex is a ring of its
     own.
     """
-    _, first = np.unique(face, return_index=True)
+    first = first_of_faces(face)
     rings: list[list[np.ndarray]] = [[] for _ in first]
     for number, ring in border_rings(triangle, face, twin):
         rings[number] += simple_rings(ring)

@@ -212,7 +212,7 @@ def _met(
     begin = np.searchsorted(at, np.arange(len(point_m) + 1))
     inverse, _ = _inverses(row[plane], at)
     for _ in range(_NUM_ROUNDS):
-        off_m = (row[plane] * point_m[at]).sum(axis=1)
+        off_m = (row.take(plane, 0) * point_m.take(at, 0)).sum(axis=1)
         if np.abs(off_m).max() < _EXACT_M:
             break
         lever = (point_m[at, None] @ scale[plane])[:, 0]

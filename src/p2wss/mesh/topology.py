@@ -27,8 +27,7 @@ def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     size = int(max(start.max(initial=-1), end.max(initial=-1))) + 1
     forward, back = start * size + end, end * size + start
     order = np.argsort(forward, kind="stable")
-    place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
-    candidate = order[place]
+    candidate = order[np.minimum(np.searchsorted(forward[order], back), len(order) - 1)]
     return np.where(forward[candidate] == back, candidate, -1)
 
 
@@ -109,6 +108,12 @@ def face_numbers(twin: np.ndarray, label: np.ndarray) -> np.ndarray:
     beside = twin // 3
     triangle, side = np.nonzero((twin >= 0) & (label[beside] == label[:, None]))
     return groups(len(twin), np.column_stack([triangle, beside[triangle, side]]))
+
+
+def first_of_faces(face: np.ndarray) -> np.ndarray:
+    """The first triangle (f,) of each of the faces that :func:`face_numbers` gives."""
+    # each face has a higher number than those before
+    return np.flatnonzero(np.diff(np.maximum.accumulate(face), prepend=-1))
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:

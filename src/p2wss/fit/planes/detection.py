@@ -34,7 +34,8 @@ def heights(plane: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
 
 def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
     """Height (m,) of plane ``label`` (m,) at each place (m, 2)."""
-    return np.asarray((plane[label, :2] * xy_m).sum(axis=1) + plane[label, 2])
+    a, b, c = plane.take(label, 0).T
+    return np.asarray(a * xy_m[:, 0] + b * xy_m[:, 1] + c)
 
 
 def rows_of(label: np.ndarray, num_planes: int) -> list[np.ndarray]:

@@ -24,7 +24,7 @@ from p2wss.mesh.planar import without_straight_vertices
 from p2wss.mesh.planes import LEVEL_NZ
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.types import FaceKind, cross, next_in_ring
 
 # the number of the face outside the footprint, and of cells without a building
 OUTSIDE = -1
@@ -307,10 +307,12 @@ class _Network:
         plane of each, (t,))."""
         numbers, places = zip(*rings, strict=True)
         xy_m, number = np.array(self._xy_m), np.repeat(np.arange(len(places)), [*map(len, places)])
-        exterior = np.asarray(shapely.linearrings(xy_m[np.concatenate(places)], indices=number), object)
-        is_hole, face_of_ring = ~shapely.is_ccw(exterior), np.arange(len(exterior))
+        corner_m = xy_m[np.concatenate(places)]
+        after_m = corner_m[next_in_ring(np.cumsum([0, *map(len, places)]))]
+        is_hole, face_of_ring = np.bincount(number, cross(corner_m, after_m)) <= 0, np.arange(len(places))
         for hole in np.flatnonzero(is_hole).tolist():
-            polygon = np.asarray(shapely.polygons(exterior), object)
+            rings = np.asarray(shapely.linearrings(corner_m, indices=number), object)
+            polygon = np.asarray(shapely.polygons(rings), object)
             around = ~is_hole & (np.array(numbers) == numbers[hole])
             around &= shapely.contains(polygon, shapely.point_on_surface(polygon[hole]))
             face_of_ring[hole] = np.where(around, shapely.area(polygon), np.inf).argmin()

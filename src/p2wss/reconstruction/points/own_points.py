@@ -76,7 +76,7 @@ _DETECTION = Detection()
 def with_own_classes(building: Building) -> Building:
     """The building with the classes of :func:`own_classes`."""
     classes = own_classes(building.rings, building.point_m, building.classification)
-    return replace(building, classification=classes)
+    return building if classes is building.classification else replace(building, classification=classes)
 
 
 def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
