@@ -9,7 +9,7 @@ import numpy as np
 from p2wss.mesh.mesh import Mesh
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import FaceKind, writable
+from p2wss.skeleton.types import FaceKind, distinct, numbered, writable
 
 # what moves by less than this stays, to the bit
 _EXACT_M = 1e-6
@@ -66,7 +66,7 @@ def with_meeting_planes(
         _, first, place = np.unique(place, return_index=True, return_inverse=True)
         further = np.array(list(more), int).reshape(-1, 2)
         pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
-        at, plane = np.divmod(np.unique(pairs), num)
+        at, plane = np.divmod(distinct(pairs), num)
     point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
     moves = np.asarray(scale.any(axis=(1, 2)))
     can_move = np.full(len(first), not corners_stay)
@@ -85,10 +85,10 @@ def with_meeting_planes(
         part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
         is_wrong = np.bincount(part[num:][is_off], minlength=part.max() + 1) > 0
         together = np.where(is_wrong, np.cumsum(np.bincount(part) * is_wrong) // _TOGETHER, -1)[part]
-        for number in np.unique(together[together >= 0]):
+        for number in distinct(together[together >= 0]).tolist():
             is_own, is_here = moves & (together[:num] == number), together[num:] == number
             is_here[at[is_own[plane]]] = True
-            here, own_at = np.unique(at[is_here[at]], return_inverse=True)
+            here, own_at = numbered(at[is_here[at]])
             point_m[here] = _met(row, scale, is_own, point_m[here], own_at, plane[is_here[at]])
         apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
     moved_m = point_m[place, :3]

@@ -13,7 +13,7 @@ from p2wss.mesh import topology
 from p2wss.mesh.faces import Surface, surfaces_of
 from p2wss.mesh.planes import face_planes
 from p2wss.mesh.topology import NEXT
-from p2wss.skeleton.types import FaceKind, Meshes
+from p2wss.skeleton.types import FaceKind, Meshes, distinct
 
 if TYPE_CHECKING:
     import trimesh
@@ -158,7 +158,7 @@ class Mesh:
     def at(self) -> tuple[np.ndarray, np.ndarray]:
         """(vertices, planes), int (k,): all pairs of a vertex and a plane there, in ascending order."""
         size = int(self.number.max(initial=0)) + 1
-        return np.divmod(np.unique(self.triangle.astype(np.int64) * size + self.number[:, None]), size)
+        return np.divmod(distinct(self.triangle.astype(np.int64) * size + self.number[:, None]), size)
 
     @cached_property
     def planes(self) -> Planes:

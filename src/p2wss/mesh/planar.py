@@ -10,10 +10,10 @@ import numpy as np
 from p2wss.mesh.meeting import turned_over, with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
-from p2wss.mesh.topology import NEXT
+from p2wss.mesh.topology import NEXT, first_of_faces
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import FaceKind, writable
+from p2wss.skeleton.types import FaceKind, distinct, writable
 
 # planes of which a corner stays further than this, or moves further than the second figure, stay as they are
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
@@ -25,6 +25,7 @@ _MERGED_M = 2e-3
 _NO_HEIGHT_M = 1e-3
 # with a triangle whose height is a smaller share of its longest side, faces are divided anew
 _NARROW = 0.02
+_GROUND = int(FaceKind.GROUND)
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool = True) -> Mesh:
@@ -76,7 +77,7 @@ def _without_shortest(
     if not len(rows):
         return None
     span = int(mesh.label.max(initial=0)) + 1
-    pair = np.unique(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
+    pair = distinct(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
     begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
     for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
         end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
@@ -125,7 +126,7 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
     """The mesh whose faces are divided by constrained Delaunay triangulation, without those vertices within straight
     edges that do not stay, bool (v,); the mesh itself if a face is no valid polygon, or has a vertex within, or if two
     faces in one place, as of a wall without thickness, share a diagonal."""
-    first = np.unique(mesh.face, return_index=True)[1]
+    first = first_of_faces(mesh.face)
     rings = [[ring[stays[ring]] for ring in surface.rings] for surface in mesh.surfaces]
     if min(len(ring) for face in rings for ring in face) < 3:
         return mesh
@@ -148,12 +149,13 @@ def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collectio
             return mesh
         move_m = moved.vertex_m - mesh.vertex_m
         # the walls on floors stay where they are not free
-        stays = bool(free) or not move_m[mesh.triangle[mesh.kind == FaceKind.GROUND]].any()
+        if not free and move_m[mesh.triangle[mesh.kind == _GROUND]].any():
+            continue
         # along a plane a vertex may move further, as where roofs of nearly the same slope meet
         vertex, plane = mesh.at
         off_m = np.abs((move_m[vertex] * mesh.planes.normal[plane]).sum(axis=1)).max()
-        num_turned = [turned_over(each, mesh).sum() for each in (mesh, moved)]
-        if stays and off_m <= max(_MAX_MOVE_M, max_move_m) and num_turned[1] <= num_turned[0]:
+        is_near = off_m <= max(_MAX_MOVE_M, max_move_m)
+        if is_near and turned_over(moved, mesh).sum() <= turned_over(mesh, mesh).sum():
             return moved
     return None
 

@@ -17,7 +17,7 @@ from p2wss.mesh.faces import Surface
 from p2wss.mesh.topology import NEXT, crossed, twins, unit_normals
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import cross, next_in_ring
+from p2wss.skeleton.types import cross, distinct, next_in_ring, numbered
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -114,12 +114,12 @@ class _Faces:
         corner = np.concatenate([np.zeros(0, np.int64), *rings]).astype(np.int64)
         ring_offset = np.cumsum([0, *map(len, rings)], dtype=np.int64)
         face_ring = np.cumsum([0, *(len(surface.rings) for surface in surfaces)], dtype=np.int64)
-        used, local = np.unique(corner, return_inverse=True)
+        used, local = numbered(corner)
         near = np.ascontiguousarray(np.asarray(vertex_m, float).reshape(-1, 3)[used])
         if len(near):
             near = near - near.min(axis=0)
         merged = polygon_kernels.merged_vertices(near, snap_m)
-        return cls(near, merged[local.reshape(-1)], ring_offset, face_ring, np.zeros((0, 3), np.int64))
+        return cls(near, merged[local], ring_offset, face_ring, np.zeros((0, 3), np.int64))
 
     def breaches(self, tolerances: Tolerances) -> list[Breach]:
         """Rules of single faces."""
@@ -177,7 +177,7 @@ def shell_code(triangle: np.ndarray) -> int:
         return 303
     size = int(triangle.max(initial=-1)) + 1
     start, end = triangle.ravel(), triangle.take(NEXT, 1).ravel()
-    if len(np.unique(start * size + end)) < len(start):
+    if len(distinct(start * size + end)) < len(start):
         sides = np.minimum(start, end) * size + np.maximum(start, end)
         return 303 if (np.unique(sides, return_counts=True)[1] > 2).any() else 307
     twin = twins(triangle)
@@ -186,7 +186,7 @@ def shell_code(triangle: np.ndarray) -> int:
     half = np.arange(twin.size).reshape(-1, 3)
     # the half-edges that leave a vertex, from one triangle to the next around it: a fan
     fan = groups(twin.size, np.column_stack([half.ravel(), twin[:, [2, 0, 1]].ravel()]))
-    if fan.max() + 1 != len(np.unique(triangle)):
+    if fan.max() + 1 != len(distinct(triangle)):
         return 303
     part = groups(len(triangle), np.column_stack([half.ravel(), twin.ravel()]) // 3)
     return 305 if part.max() > 0 else 0

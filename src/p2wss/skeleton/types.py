@@ -23,6 +23,33 @@ def cross(one: FloatArray, other: FloatArray) -> FloatArray:
     return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
 
 
+def distinct(value: np.ndarray) -> np.ndarray:
+    """The different ones (d,) of some values, ascending. numpy's ``unique`` takes four times as long.
+
+    >>> distinct(np.array([[3, 1], [1, 2]])).tolist()
+    [1, 2, 3]
+    """
+    ordered = np.sort(value, axis=None)
+    return np.asarray(ordered[_differs(ordered)])
+
+
+def numbered(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(the different ones (d,) of values (n,), ascending; the number of each value among them, int64 (n,)). numpy's
+    ``unique`` takes twice as long."""
+    order = np.argsort(value, kind="stable")
+    ordered, number = value[order], np.empty(len(value), np.int64)
+    is_new = _differs(ordered)
+    number[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], number
+
+
+def _differs(ordered: np.ndarray) -> np.ndarray:
+    """bool (n,): which values differ from those before."""
+    result = np.ones(len(ordered), bool)
+    np.not_equal(ordered[1:], ordered[:-1], out=result[1:])
+    return result
+
+
 def next_in_ring(ring_offset: IntArray) -> IntArray:
     """For each vertex the index of the next vertex of its ring; no ring is empty."""
     following = np.arange(1, ring_offset[-1] + 1)

@@ -14,7 +14,7 @@ from p2wss.fit.planes.lines import Line, edges_of, ends_of
 from p2wss.mesh.topology import first_of_faces
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import cross, writable
+from p2wss.skeleton.types import cross, distinct, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -173,7 +173,7 @@ def _pieces(end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     start, step = writable(end[:, 0], np.float64), writable(end[:, 1] - end[:, 0], np.float64)
     along = step / np.hypot(*step.T)[:, None]
-    node = np.unique(np.rint(np.concatenate([*end, _crossings(start, step, along)])) @ [1, 1j])
+    node = distinct(np.rint(np.concatenate([*end, _crossings(start, step, along)])) @ [1, 1j])
     place = np.column_stack([node.real, node.imag])
     segment, number, at, off = _passed(start, step, along, place)
     order = np.lexsort((number, at, segment))
@@ -273,7 +273,7 @@ def by_member(group: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     member = group.ravel()
     order = np.argsort(member, kind="stable")
     begin = np.searchsorted(member[order], np.arange(member.max(initial=-1) + 2))
-    return lambda numbers: np.unique(np.concatenate([order[begin[k] : begin[k + 1]] for k in numbers]) // 2)
+    return lambda numbers: distinct(np.concatenate([order[begin[k] : begin[k + 1]] for k in numbers]) // 2)
 
 
 @entry

@@ -17,7 +17,7 @@ from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped, groups
 from p2wss.skeleton.nearest import nearest
-from p2wss.skeleton.types import writable
+from p2wss.skeleton.types import distinct, writable
 
 # metres above the ground: no roof is lower, at a price beyond all others
 _LOWEST_M, FORBIDDEN_M3 = 0.3, 1e4
@@ -227,7 +227,7 @@ def candidates_of(
     square = ((place_m - low_m) / size_m).astype(int) @ [shape[1], 1]
     seen_square = ((seen_m - low_m) / size_m).astype(int) @ [shape[1], 1]
     num_planes = int(label.max()) + 1
-    seen = np.unique(seen_square * num_planes + label)
+    seen = distinct(seen_square * num_planes + label)
     is_wanted = np.zeros(shape.prod(), bool)
     is_wanted[square] = True
     wanted, wanted_of = np.flatnonzero(is_wanted), (np.cumsum(is_wanted) - 1)[square]
@@ -241,7 +241,7 @@ def candidates_of(
         size_m,
         num_planes,
     )
-    pairs = np.unique(owner * len(wanted) + wanted_of)
+    pairs = distinct(owner * len(wanted) + wanted_of)
     return _united(
         *np.divmod(pairs, len(wanted)), square_first, square_plane, len(cells.middle_m), num_planes
     )

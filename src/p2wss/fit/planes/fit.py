@@ -32,6 +32,7 @@ from p2wss.mesh import Mesh
 from p2wss.skeleton.angles import slope_angles
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.types import distinct
 
 # cubic metres: the price, beyond all others, of each side that ends in an upright edge of four walls
 _PINCH_M3 = 1e6
@@ -184,7 +185,7 @@ def fit_planes(
     if mesh is None:
         return None
     body = costs.bodies(label)
-    num_bodies = len(np.unique(body[built != OUTSIDE]))
+    num_bodies = len(distinct(body[built != OUTSIDE]))
     is_border = (cells.pair >= 0).all(axis=1) & (np.diff(built[cells.pair], axis=1)[:, 0] != 0)
     num_used = num_on(line_m, cells.xy_m[cells.side[is_border]], drawing.mapped_on_m)
     return PlanesFit(
@@ -250,7 +251,7 @@ def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane:
         for cell, number in dict.fromkeys(moves):
             changed = label.copy()
             changed[cell] = number
-            corner = np.unique(cells.side[sides_of(np.array([cell]))])
+            corner = distinct(cells.side[sides_of(np.array([cell]))])
             around = sides_at(corner)
             before, after = (
                 np.intersect1d(at_pinch(cells, x, plane, around), corner) for x in (label, changed)

@@ -13,7 +13,7 @@ import shapely
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import cross
+from p2wss.skeleton.types import cross, distinct, numbered
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05
@@ -149,7 +149,8 @@ def _borders(
     Sides ascend: ``2 k`` at the first plane of pair k, ``2 k + 1`` at the second."""
     rows = np.flatnonzero(label >= 0)
     # of points at one place the first
-    rows = rows[np.unique(point_m[rows, 0] + 1j * point_m[rows, 1], return_index=True)[1]]
+    rows = rows[np.lexsort((point_m[rows, 1], point_m[rows, 0]))]
+    rows = rows[np.append(True, (point_m[rows[1:], :2] != point_m[rows[:-1], :2]).any(axis=1))[: len(rows)]]
     if len(rows) < 4:
         return np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2))
     # GEOS fails on some regular grids, so that each point is moved a little
@@ -171,8 +172,8 @@ def _borders(
     link = link[np.hypot(apart[:, 0], apart[:, 1]) < near_m]
     link = np.where(label[link[:, :1]] < label[link[:, 1:]], link, link[:, ::-1])
     size = len(label)
-    pairs, pair_of = np.unique(label[link] @ [size, 1], return_inverse=True)
-    side, row = np.divmod(np.unique((2 * pair_of[:, None] + [0, 1]) * size + link), size)
+    pairs, pair_of = numbered(label[link] @ [size, 1])
+    side, row = np.divmod(distinct((2 * pair_of[:, None] + [0, 1]) * size + link), size)
     return np.column_stack(np.divmod(pairs, size)), side, point_m[row, :2]
 
 

@@ -24,7 +24,7 @@ from p2wss.mesh.planar import without_straight_vertices
 from p2wss.mesh.planes import LEVEL_NZ
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
-from p2wss.skeleton.types import FaceKind, cross, next_in_ring
+from p2wss.skeleton.types import FaceKind, cross, distinct, next_in_ring, numbered
 
 # the number of the face outside the footprint, and of cells without a building
 OUTSIDE = -1
@@ -62,11 +62,13 @@ def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np
         np.append(label, OUTSIDE)[np.tile(cells.pair[sides].T, 2)],
         np.vstack([plane, np.zeros(3)]),
     )
-    low_m, high_m = np.sort([height_over(plane, each, cells.xy_m[place]) for each in number], axis=0)
+    at_m = cells.xy_m[place]
+    height_m = height_over(plane, number[0], at_m), height_over(plane, number[1], at_m)
+    low_m, high_m = np.minimum(*height_m), np.maximum(*height_m)
     # walls begin and end, in the order of the places and from below
     place, change = np.tile(place, 2), np.repeat([1, -1], len(place))
     order = np.lexsort((change, np.append(low_m + _SAME_HEIGHT_M, high_m), place))
-    return np.unique(place[order[np.cumsum(change[order]) > 2]])
+    return distinct(place[order[np.cumsum(change[order]) > 2]])
 
 
 @dataclass
@@ -84,7 +86,7 @@ class _Borders:
         """The borders of the connected cells of one plane, without vertices within straight edges."""
         numbers = np.append(label, OUTSIDE)[cells.pair]
         is_border = numbers[:, 0] != numbers[:, 1]
-        used, side = np.unique(cells.side[is_border], return_inverse=True)
+        used, side = numbered(cells.side[is_border].ravel())
         face, line = dict[tuple[int, int], int](), dict[tuple[int, int], int]()
         sides = (each.tolist() for each in (side.reshape(-1, 2), numbers[is_border], cells.line[is_border]))
         for (start, end), (left, right), number in zip(*sides, strict=True):

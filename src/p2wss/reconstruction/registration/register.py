@@ -33,7 +33,7 @@ from p2wss.reconstruction.registration.shifts import (
     solve_shift,
 )
 from p2wss.reconstruction.running.failures import note, surviving
-from p2wss.skeleton.types import Polygons
+from p2wss.skeleton.types import Polygons, distinct
 from p2wss.storage.features import Features
 
 # footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
@@ -243,7 +243,7 @@ class _Near:
         first = np.searchsorted(blocks.of_outline, np.arange(len(blocks) + 1))
         self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]
         for block in np.flatnonzero(np.diff(first) > 1).tolist():
-            self.points[block] = np.unique(self.points[block])
+            self.points[block] = distinct(self.points[block])
         self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
 
     def block_of_points(self) -> np.ndarray:
