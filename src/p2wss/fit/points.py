@@ -138,6 +138,15 @@ def median(value: np.ndarray) -> float:
     return float(ordered[(len(value) - 1) // 2] + ordered[len(value) // 2]) / 2
 
 
+def quantile(value: np.ndarray, share: float) -> float:
+    """The value below which a share of some values (n,) is, between two of them as numpy's own: that takes ten times as
+    long for a few values."""
+    ordered, place = np.sort(value), share * (len(value) - 1)
+    low, high = ordered[int(place)], ordered[min(int(place) + 1, len(value) - 1)]
+    rest = place % 1
+    return float(high - (high - low) * (1 - rest) if rest >= 0.5 else low + (high - low) * rest)
+
+
 def even_order(point_m: np.ndarray) -> np.ndarray:
     """Indices of points (m, 3) along a space-filling curve, whatever their order in the file. Every k-th point in
     this order makes an even sample."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -176,7 +177,7 @@ def _building(building: Shown) -> dict[str, Any]:
         "residual": _number(building.attributes, "residual_m"),
         # JSON has no NaN
         "attributes": {
-            name: None if isinstance(value, float) and not np.isfinite(value) else value
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in building.attributes.items()
         },
         # the columns of the input come before our status
@@ -212,7 +213,7 @@ def _state(building: Shown) -> str:
 
 def _number(attributes: Mapping[str, Any], name: str) -> float | None:
     value = attributes.get(name)
-    return float(value) if isinstance(value, int | float) and np.isfinite(value) else None
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _base64(values: np.ndarray) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
+from p2wss.skeleton.types import differs
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
 NEXT = np.array([1, 2, 0])
@@ -113,7 +114,7 @@ def face_numbers(twin: np.ndarray, label: np.ndarray) -> np.ndarray:
 def first_of_faces(face: np.ndarray) -> np.ndarray:
     """The first triangle (f,) of each of the faces that :func:`face_numbers` gives."""
     # each face has a higher number than those before
-    return np.flatnonzero(np.diff(np.maximum.accumulate(face), prepend=-1))
+    return np.flatnonzero(differs(np.maximum.accumulate(face)))
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:

@@ -30,7 +30,7 @@ def distinct(value: np.ndarray) -> np.ndarray:
     [1, 2, 3]
     """
     ordered = np.sort(value, axis=None)
-    return np.asarray(ordered[_differs(ordered)])
+    return np.asarray(ordered[differs(ordered)])
 
 
 def numbered(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -38,13 +38,13 @@ def numbered(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ``unique`` takes twice as long."""
     order = np.argsort(value, kind="stable")
     ordered, number = value[order], np.empty(len(value), np.int64)
-    is_new = _differs(ordered)
+    is_new = differs(ordered)
     number[order] = np.cumsum(is_new) - 1
     return ordered[is_new], number
 
 
-def _differs(ordered: np.ndarray) -> np.ndarray:
-    """bool (n,): which values differ from those before."""
+def differs(ordered: np.ndarray) -> np.ndarray:
+    """bool (n,): which values differ from those before; the first one does."""
     result = np.ones(len(ordered), bool)
     np.not_equal(ordered[1:], ordered[:-1], out=result[1:])
     return result

@@ -14,7 +14,7 @@ from p2wss.fit.planes.lines import Line, edges_of, ends_of
 from p2wss.mesh.topology import first_of_faces
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import cross, distinct, writable
+from p2wss.skeleton.types import cross, differs, distinct, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -123,21 +123,24 @@ def _traced(
 
     GEOS, which can do the same, takes several times as long for a roof, and the numbers of places are lost.
     """
-    number, is_bridge = np.arange(len(link)), np.ones(1, bool)
-    while is_bridge.any():
-        start = link[number].ravel()
-        half = np.arange(len(start))
-        step = place[start[half ^ 1]] - place[start]
-        order = np.lexsort((np.arctan2(step[:, 1], step[:, 0]), start))
-        rank, count = np.argsort(order), np.bincount(start)
-        last = np.cumsum(count)[start]
-        # the next one around the place counter-clockwise
-        around = order[np.where(rank + 1 == last, last - count[start], rank + 1)]
+    number, start, (x, y) = np.arange(len(link)), link.ravel(), place[link].T
+    along = np.arctan2(y[1] - y[0], x[1] - x[0]), np.arctan2(y[0] - y[1], x[0] - x[1])
+    order = np.lexsort((np.column_stack(along).ravel(), start))
+    while True:
+        half, around = np.arange(len(start)), np.empty(len(start), np.int64)
+        # the next one around each place, counter-clockwise
+        first = np.flatnonzero(differs(start[order]))
+        around[order] = np.append(order[1:], 0)
+        around[order[np.append(first[1:], len(order)) - 1]] = order[first]
         following = around[half ^ 1]
         ring = groups(len(half), np.column_stack([half, following]))
         # what has the same on both sides is no border
-        is_bridge = ring[::2] == ring[1::2]
-        number = number[~is_bridge]
+        is_border = ring[::2] != ring[1::2]
+        if is_border.all():
+            break
+        is_kept = is_border.repeat(2)
+        number, start = number[is_border], start[is_kept]
+        order = (np.cumsum(is_kept) - 1)[order[is_kept[order]]]
     following_of, walk = following.tolist(), list[int]()
     for first in first_of_faces(ring).tolist():
         walk.append(first)
@@ -150,7 +153,8 @@ def _traced(
     of_ring[~is_hole] = np.arange(np.count_nonzero(~is_hole))
     rings = np.asarray(shapely.linearrings(xy_m, indices=ring), object)
     shells = np.asarray(shapely.polygons(rings[~is_hole]), object)
-    for hole in np.flatnonzero(is_hole).tolist():
+    # the largest is around all, and in no cell
+    for hole in np.flatnonzero(is_hole & (turn < turn.max())).tolist():
         around = np.flatnonzero(shapely.contains_xy(shells, *xy_m[np.searchsorted(ring, hole)]))
         if len(around):
             of_ring[hole] = around[shapely.area(shells[around]).argmin()]

@@ -13,6 +13,7 @@ from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, PLANT_CLASSES, has_class
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.terrain import Terrain
+from p2wss.fit.points import quantile
 from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
@@ -75,7 +76,7 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
             roof = own
         if len(roof) >= RULES.min_own_points:
             low_z, low_beside_z = (
-                np.quantile(cloud.z_m[each], RULES.low_quantile) if len(each) else np.inf
+                quantile(cloud.z_m[each], RULES.low_quantile) if len(each) else np.inf
                 for each in (roof, beside)
             )
             # without class building, points on the footprint may be of the ground, if it is not lower beside them

@@ -8,6 +8,7 @@ this holds best (:func:`search_shift`); around it, each free edge has a step alo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import count
 from typing import NamedTuple
 
@@ -132,15 +133,23 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     spectrum = np.fft.rfft2(weights, shape) * np.conj(np.fft.rfft2(inside, shape))
     total = np.fft.irfft2(spectrum, shape)
     steps = np.arange(-reach, reach + 1)
+    dx, dy, is_far = _shifts_m(reach, cell_m)
     # the weights are halves; the transform is not exact
-    total = np.round(2 * total[np.ix_(steps, steps)]) / 2
-    dy, dx = np.meshgrid(steps * cell_m, steps * cell_m, indexing="ij")
-    total = np.where(dx**2 + dy**2 <= MAX_SHIFT_M**2, total, -np.inf)
+    total = np.round(2 * total[steps[:, None], steps]) / 2
+    total[is_far] = -np.inf
     # with an overhang, all shifts up to its length are as good
     as_good = total >= total.max() - max(
         SEARCH.as_good_points, SEARCH.as_good_share * float(np.abs(weight[keep]).sum())
     )
     return np.array([dx[as_good].mean(), dy[as_good].mean()])
+
+
+@lru_cache(8)
+def _shifts_m(reach: int, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(x, y) of all shifts by whole cells up to ``reach``, and which are beyond ``MAX_SHIFT_M``."""
+    steps = np.arange(-reach, reach + 1) * cell_m
+    dy, dx = np.meshgrid(steps, steps, indexing="ij")
+    return dx, dy, dx**2 + dy**2 > MAX_SHIFT_M**2
 
 
 def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
