@@ -13,7 +13,7 @@ import shapely
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import cross, distinct, numbered
+from p2wss.skeleton.types import cross, differs, distinct, numbered
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05
@@ -80,32 +80,7 @@ def lines_of(
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
     edges = edges_of(rings)
-    pair, side, border_m = _borders(label, point_m, settings.near_m)
-    slope = plane[pair[:, 0]] - plane[pair[:, 1]]
-    fold = np.hypot(slope[:, 0], slope[:, 1])
-    meet = slope / np.maximum(fold, _PARALLEL)[:, None]
-    of_pair, (x, y) = side // 2, border_m.T
-    (normal_x, normal_y, height_m), is_meet = meet[of_pair].T, (fold > _PARALLEL)[of_pair]
-    off_m = np.abs(x * normal_x + y * normal_y + height_m)
-    is_near, is_off = is_meet & (off_m < settings.off_m), ~is_meet | (off_m > settings.off_m)
-    is_near &= (np.bincount(of_pair[is_near], minlength=len(pair)) >= _MIN_BORDER)[of_pair]
-    shown, first = np.unique(of_pair[is_near], return_index=True)
-    place_m = (y * normal_x - x * normal_y)[is_near]
-    low_m = np.minimum.reduceat(place_m, first) - settings.reach_m
-    high_m = np.maximum.reduceat(place_m, first) + settings.reach_m
-    meets = [
-        Line(normal, *rest)
-        for normal, *rest in zip(
-            meet[shown, :2], *np.array([-meet[shown, 2], low_m, high_m]).tolist(), strict=True
-        )
-    ]
-    steps, turned = [], np.add.outer(along, np.arange(4) * np.pi / 2).ravel()
-    normals = np.column_stack([np.cos(turned), np.sin(turned)])
-    border_m, num_off = border_m[is_off], np.bincount(side[is_off], minlength=2 * len(pair))
-    end = np.cumsum(num_off).reshape(-1, 2)
-    for k in np.flatnonzero(num_off.reshape(-1, 2).min(axis=1) >= _MIN_BORDER).tolist():
-        one, both = num_off[2 * k], border_m[end[k, 0] - num_off[2 * k] : end[k, 1]]
-        steps += _steps(both, int(one), normals, settings)
+    meets, steps = _between(plane, label, point_m, along, settings)
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
     axes = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2)
@@ -117,6 +92,37 @@ def lines_of(
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
     steps = snapped + [edge for edge, is_reflex in edges if is_reflex]
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
+
+
+def _between(
+    plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, along: Sequence[float], settings: Drawing
+) -> tuple[list[Line], list[Line]]:
+    """(lines on which planes side by side meet, lines of steps between them); arguments as of :func:`lines_of`."""
+    pair, side, border_m = _borders(label, point_m, settings.near_m)
+    of_pair, (x, y) = side // 2, border_m.T
+    slope = plane[pair[:, 0]] - plane[pair[:, 1]]
+    fold = np.hypot(slope[:, 0], slope[:, 1])
+    # planes meet where the product of these with x, y and 1 is 0
+    meet = slope / np.maximum(fold, _PARALLEL)[:, None]
+    normal_x, normal_y, height_m = meet[of_pair].T
+    off_m = np.where((fold > _PARALLEL)[of_pair], np.abs(x * normal_x + y * normal_y + height_m), np.inf)
+    is_near, is_off = off_m < settings.off_m, off_m > settings.off_m
+    is_near &= (np.bincount(of_pair[is_near], minlength=len(pair)) >= _MIN_BORDER)[of_pair]
+    first = np.flatnonzero(differs(of_pair[is_near]))
+    place_m = (y * normal_x - x * normal_y)[is_near]
+    low_m = (np.minimum.reduceat(place_m, first) - settings.reach_m).tolist()
+    high_m = (np.maximum.reduceat(place_m, first) + settings.reach_m).tolist()
+    shown = meet[of_pair[is_near][first]]
+    ends = zip(shown[:, :2], (-shown[:, 2]).tolist(), low_m, high_m, strict=True)
+    turned = np.add.outer(along, np.arange(4) * np.pi / 2).ravel()
+    normal = np.column_stack([np.cos(turned), np.sin(turned)])
+    num_off = np.bincount(side[is_off], minlength=2 * len(pair)).reshape(-1, 2)
+    borders = np.split(border_m[is_off], np.cumsum(num_off.sum(axis=1))[:-1])
+    steps = list[Line]()
+    for both, (num_one, num_other) in zip(borders, num_off.tolist(), strict=False):
+        if min(num_one, num_other) >= _MIN_BORDER:
+            steps += _steps(both, num_one, normal, settings)
+    return [Line(*each) for each in ends], steps
 
 
 def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:

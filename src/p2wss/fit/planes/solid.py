@@ -313,8 +313,8 @@ class _Network:
         after_m = corner_m[next_in_ring(np.cumsum([0, *map(len, places)]))]
         is_hole, face_of_ring = np.bincount(number, cross(corner_m, after_m)) <= 0, np.arange(len(places))
         for hole in np.flatnonzero(is_hole).tolist():
-            rings = np.asarray(shapely.linearrings(corner_m, indices=number), object)
-            polygon = np.asarray(shapely.polygons(rings), object)
+            exterior = np.asarray(shapely.linearrings(corner_m, indices=number), object)
+            polygon = np.asarray(shapely.polygons(exterior), object)
             around = ~is_hole & (np.array(numbers) == numbers[hole])
             around &= shapely.contains(polygon, shapely.point_on_surface(polygon[hole]))
             face_of_ring[hole] = np.where(around, shapely.area(polygon), np.inf).argmin()
