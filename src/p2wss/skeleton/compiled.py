@@ -226,12 +226,20 @@ class _Notice(event.Listener):
     """
 
     def __init__(self) -> None:
-        self._depth, self._collects = 0, False
+        self._depth, self._collects, self._is_for_ours = 0, False, False
         self._num_done = 0
         self._progress: Any = None
 
     def on_start(self, compilation: Any) -> None:
-        if isinstance(compilation.data["dispatcher"]._cache, _Cache):
+        function = compilation.data["dispatcher"]
+        is_ours = isinstance(function._cache, _Cache)
+        if self._depth == 0:
+            self._is_for_ours = is_ours
+        elif self._is_for_ours and function.py_func.__module__.startswith("numba."):
+            # a part of one that calls it, such as np.sort
+            function.targetoptions.update(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+            function._compiler.pipeline_class = _CompilerAsUsed
+        if is_ours:
             from p2wss.storage.progress import Progress
 
             self._progress = self._progress or Progress("compiling for this computer, once", 0, "functions")
@@ -274,7 +282,16 @@ class _ToStore(CompileResult):
         return [each for each in super()._find_referenced_environments() if each.consts]
 
 
-class _PartOfCallers(JITCodeLibrary):
+class _Library(JITCodeLibrary):
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """A little, so that the module is small: what calls it is optimised with all that is linked into it."""
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager(opt=1)
+        for each in ll_module.functions:
+            passes.run(each, builder)
+
+
+class _PartOfCallers(_Library):
     """A function that only compiled code calls: its machine code is a part of that of its callers, and it has none
     of its own, which would be translated and stored for nobody."""
 
@@ -284,6 +301,9 @@ class _PartOfCallers(JITCodeLibrary):
 
     def set_env(self, name: str, environment: Any) -> None:
         """Without machine code there is no variable for the environment."""
+
+    def _optimize_final_module(self) -> None:
+        """Nothing: it would be done again in every caller, at every level of calls."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -298,7 +318,7 @@ class _PartOfCallers(JITCodeLibrary):
         return self.serialize_using_bitcode()
 
 
-class _Alone(JITCodeLibrary):
+class _Alone(_Library):
     """A function that only Python calls: in place of its bitcode, with which it would become a part of callers, the
     names of functions in it are stored, since numba asks for the address of no others. Parsing bitcode would be half of
     the time of loading, and the names of all constants a third."""

@@ -7,8 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from numba import njit
+from numba import config, njit
 from numba.core import event
 
 import p2wss.skeleton
@@ -158,6 +159,39 @@ def test_what_only_python_calls_is_no_part_of_compiled_code() -> None:
     assert one() == 1 and right() == two() == 2  # all of which may come from the cache
     with pytest.raises(TypeError, match="decorated with entry"):
         wrong()
+
+
+def test_functions_of_numba_that_code_of_ours_called_first_work_in_other_programs(
+    tmp_path, monkeypatch
+) -> None:
+    """They have no machine code of their own; what other programs compile has."""
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    is_callable = {}
+
+    class Listener(event.Listener):
+        def on_start(self, event):
+            function = event.data["dispatcher"]
+            is_callable[function.py_func.__name__] = "no_cfunc_wrapper" not in function.targetoptions
+
+        def on_end(self, event):
+            pass
+
+    @entry
+    def ours(values: np.ndarray) -> float:
+        return np.sort(values)[0]
+
+    @njit
+    def helper(values):
+        return np.sort(values)[-1]
+
+    @njit
+    def theirs(values):
+        return helper(values) + np.sort(values)[0]
+
+    values = np.array([3, 1, 2], np.int8)  # of which nothing else sorts any
+    with event.install_listener("numba:compile", Listener()):
+        assert ours(values) == 1 and theirs(values) == 4 and helper(values) == 3
+    assert is_callable["helper"] and not is_callable["run_quicksort"]
 
 
 def test_no_folder_to_cache_in(tmp_path):
