@@ -144,7 +144,10 @@ def _equations(
     base /= size.reshape(-1, 1)
     # of places from their mean, sums of squares and of the products with heights
     row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
-    stiff = np.where(kind == _FLAT, _STIFF, 1.0)
+    stiff = np.ones(num)
+    for p in range(num):
+        if kind[p] == _FLAT:
+            stiff[p] = _STIFF
     # of walls, the ends on the floor
     ends_m = np.zeros((num, 2, 3))
     for k, p in enumerate(plane):
@@ -241,7 +244,9 @@ def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inverse, rank = np.zeros((num, 3, 3)), np.zeros(num, np.int64)
     square, axes, begin = np.empty((3, 3)), np.empty((3, 3)), 0
     for place in range(num):
-        square[:], axes[:] = 0.0, np.eye(3)
+        for a in range(3):
+            for b in range(3):
+                square[a, b], axes[a, b] = 0.0, 1.0 if a == b else 0.0
         k = begin
         while k < len(at) and at[k] == at[begin]:
             for a in range(3):

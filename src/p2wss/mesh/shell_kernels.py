@@ -24,7 +24,7 @@ def any_intersect(
             a, b, c = corner_m[t, 0, i], corner_m[t, 1, i], corner_m[t, 2, i]
             low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
     # in the order of where they begin, so that few are compared
-    order = np.argsort(low[:, 0])
+    order = np.argsort(low[:, 0].copy())
     begin, widest = low[order, 0], (high[:, 0] - low[:, 0]).max()
     is_done = np.zeros(num, np.bool_)
     for s in asked:

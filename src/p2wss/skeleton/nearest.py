@@ -27,9 +27,12 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
     """(squared distances, numbers), one more than asked for of each place."""
     size, low_m, extent_m, local_m = point_m.shape[1], np.zeros(3), np.zeros(3), np.zeros((len(point_m), 3))
     for k in range(size):
-        low_m[k] = point_m[:, k].min()
-        local_m[:, k] = point_m[:, k] - low_m[k]
-        extent_m[k] = local_m[:, k].max()
+        low_m[k] = np.inf
+        for t in range(len(point_m)):
+            low_m[k] = min(low_m[k], point_m[t, k])
+        for t in range(len(point_m)):
+            local_m[t, k] = point_m[t, k] - low_m[k]
+            extent_m[k] = max(extent_m[k], local_m[t, k])
     # the points by the cells of a grid in plan, one in each on average: larger ones are slower for any count
     cell_m = max(
         (extent_m[0] * extent_m[1] / len(point_m)) ** 0.5,

@@ -14,6 +14,7 @@ import numpy as np
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.compiled import ZERO, both, entry, inner
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.ordering import sorted_by
 
 # a sum of scores in another order differs by less
 _ROUNDING = 1e-6
@@ -326,10 +327,9 @@ def _settled(
                     near_m = _distance(plane[other], point_m[row]) if other >= 0 else settings.distance_m
                     if near_m < least_m:
                         least_m, label[row] = near_m, other
-        order = np.argsort(label, kind="mergesort")
-        begin = np.searchsorted(label[order], np.arange(len(plane) + 1))
+        begin, order = sorted_by(label + 1, len(plane) + 1)
         for number in range(len(plane) if turn < settings.num_turns - 1 else 0):
-            rows = order[begin[number] : begin[number + 1]]
+            rows = order[begin[number + 1] : begin[number + 2]]
             if len(rows) > 2:
                 plane[number] = _fit(point_m, rows, len(rows), settings.noise_m)
     return plane, label
@@ -348,9 +348,8 @@ def _merged(
     too few points."""
     num, label = len(plane), label.copy()
     # the rows of each plane; of one that has become a part of another, none
-    order = np.argsort(label, kind="mergesort")
-    begin = np.searchsorted(label[order], np.arange(num + 1))
-    rows_of = [order[begin[i] : begin[i + 1]] for i in range(num)]
+    begin, order = sorted_by(label + 1, num + 1)
+    rows_of = [order[begin[i + 1] : begin[i + 2]] for i in range(num)]
     residual_m = np.array([mean_distance(plane[i], point_m, rows_of[i]) for i in range(num)])
     link, num_links = np.empty(neighbour.size, np.int64), 0
     for row, number in enumerate(label):

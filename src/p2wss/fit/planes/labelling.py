@@ -16,6 +16,7 @@ from p2wss.fit.planes.costs import Costs, Problem, beside, faces_of, is_step, si
 from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.half_edges import find
+from p2wss.skeleton.ordering import sorted_by
 
 _MAX_ROUNDS = 4
 _GAIN_M3 = 1e-6
@@ -41,7 +42,7 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
     label, slots = problem.number[choice], _slots(problem)
     length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
     is_tried = length_m < 0
-    begin, by_line = _sorted_by(problem.line, len(length_m))
+    begin, by_line = sorted_by(problem.line, len(length_m))
     while True:
         short = np.flatnonzero((length_m > 0) & (length_m < prices.short_line_m) & ~is_tried)
         if not len(short):
@@ -202,10 +203,10 @@ def _part(
             outside_m[line[k]] -= problem.length_m[side[k]]
     lines = lines[:num_lines].copy()
     slots.line[lines] = -1
-    plane_first, by_plane = _sorted_by(number[:count], num_planes)
+    plane_first, by_plane = sorted_by(number[:count], num_planes)
     ends = np.empty(2 * num, np.int64)
     ends[:num], ends[num:] = pair[:, 0], pair[:, 1]
-    side_first, side_end = _sorted_by(ends, len(everything))
+    side_first, side_end = sorted_by(ends, len(everything))
     part = Problem(
         first,
         number,
@@ -226,20 +227,6 @@ def _part(
         problem.is_barred[lines],
     )
     return part, old, origin, lines, around
-
-
-@allocating
-def _sorted_by(number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """(where the places of each number below ``size`` begin, (size + 1,); places, ascending)."""
-    first, result = np.zeros(size + 1, np.int64), np.empty(len(number), np.int64)
-    for each in number:
-        first[each + 1] += 1
-    first = np.cumsum(first)
-    free = first.copy()
-    for k, each in enumerate(number):
-        result[free[each]] = k
-        free[each] += 1
-    return first, result
 
 
 @allocating
@@ -265,7 +252,7 @@ def _with_fewer_faces(problem: Problem, prices: PlanePrices, choice: np.ndarray)
         pending = np.flatnonzero(is_open & ~is_fixed)
         if not len(pending):
             return choice
-        for face in pending[np.argsort(size[pending], kind="mergesort")]:
+        for face in pending[sorted_by(size[pending], num_cells + 1)[1]]:
             is_alive = is_open[face] and not is_fixed[face]
             is_open[face] = False
             if not is_alive or of_cell[face] != face or faces.merged[face] != face:

@@ -203,7 +203,8 @@ def _common_part_m2(first: np.ndarray, second: np.ndarray) -> float:
     (Sutherland and Hodgman, 1974)."""
     # a convex polygon gets at most one corner by each cut
     part, cut, num = np.empty((6, 2)), np.empty((6, 2)), 3
-    part[:3] = second
+    for k in range(3):
+        part[k] = second[k]
     for side in range(3):
         start, end = first[side], first[(side + 1) % 3]
         kept = 0
@@ -219,7 +220,7 @@ def _common_part_m2(first: np.ndarray, second: np.ndarray) -> float:
                 cut[kept], kept = here, kept + 1
             if inside_m2 * next_m2 < 0:
                 cut[kept], kept = here + inside_m2 / (inside_m2 - next_m2) * (after - here), kept + 1
-        part[:kept], num = cut[:kept], kept
+        part, cut, num = cut, part, kept
     doubled_m2 = 0.0
     for k in range(1, num - 1):
         to_x, to_y = part[k] - part[0]
