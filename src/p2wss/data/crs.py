@@ -13,7 +13,7 @@ import shapely
 
 from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError
-from p2wss.storage.las_crs import UNKNOWN, is_plausible, unit_m, vertical_part
+from p2wss.storage.las_crs import UNKNOWN, in_degrees, is_plausible, meridian_deg, unit_m, vertical_part
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -263,11 +263,10 @@ def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None
     """(the smallest, the largest) length in a projection of a metre on the ground, in the middle of bounds; None where
     that is not known."""
     flat = horizontal(crs)
-    to_degrees = pyproj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
-    centre = to_degrees.transform((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
-    if not np.isfinite(centre).all():
+    longitude, latitude = in_degrees(flat, (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    if not np.isfinite([longitude, latitude]).all():
         return None
-    factors = pyproj.Proj(flat).get_factors(*centre)
+    factors = pyproj.Proj(flat).get_factors(longitude - meridian_deg(flat), latitude)
     # the axes of the ellipse of distortion (Tissot)
     half = np.hypot(factors.meridional_scale, factors.parallel_scale)
     product = factors.areal_scale
@@ -316,10 +315,8 @@ def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
 
 def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
     """The zone of bounds in a CRS."""
-    if crs.is_projected:
-        to_degrees = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
-        bounds = to_degrees.transform_bounds(*bounds)
-    x_min, y_min, x_max, y_max = bounds
+    corners = [in_degrees(crs, x, y) for x in bounds[::2] for y in bounds[1::2]]
+    (x_min, y_min), (x_max, y_max) = np.min(corners, axis=0), np.max(corners, axis=0)
     if not (-180 <= x_min <= x_max <= 180 and -90 <= y_min <= y_max <= 90):
         raise InputError(
             f"{name}: is in {crs.name}, in degrees, but its bounds are not; state its CRS with --crs"

@@ -204,11 +204,26 @@ def _one_of(candidates: tuple[pyproj.CRS, pyproj.CRS], header: laspy.LasHeader) 
     return next((crs for crs in candidates if is_plausible(crs, centre)), candidates[0])
 
 
+def in_degrees(flat: pyproj.CRS, x: float, y: float) -> tuple[float, float]:
+    """Longitude from Greenwich and latitude of a place in a projected or geographic CRS, which may count in grads and
+    from another meridian (the older CRSs of France: from Paris)."""
+    base = flat.geodetic_crs
+    if flat.is_projected:
+        x, y = pyproj.Transformer.from_crs(flat, base, always_xy=True).transform(x, y)
+    unit = float(np.rad2deg(base.axis_info[0].unit_conversion_factor))
+    return x * unit + meridian_deg(flat), y * unit
+
+
+def meridian_deg(flat: pyproj.CRS) -> float:
+    """Longitude of the prime meridian of a CRS."""
+    meridian = flat.prime_meridian
+    return 0.0 if meridian is None else float(np.rad2deg(meridian.longitude * meridian.unit_conversion_factor))
+
+
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:
     """Whether a place, x and y, is in the area of use of a CRS, or near it."""
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
-    to_degrees = pyproj.Transformer.from_crs(flat, flat.geodetic_crs, always_xy=True)
-    x, y = to_degrees.transform(*centre) if flat.is_projected else centre
+    x, y = in_degrees(flat, *centre)
     area = flat.area_of_use
     west, south, east, north = (-180, -90, 180, 90) if area is None else area.bounds
     is_within = west - _MARGIN_DEG <= x <= east + _MARGIN_DEG or (west > east and (x >= west or x <= east))

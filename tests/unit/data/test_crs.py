@@ -133,6 +133,7 @@ def test_terrain_in_another_crs_is_reprojected(caplog: pytest.LogCaptureFixture)
         ("ESRI:54009", (-3.7, 40.4), 32630),
         ("EPSG:2154", (-60.0, 10.0), 32620),
         ("EPSG:2263", (-118.0, 55.0), 32611),
+        ("EPSG:27572", (7.0, 38.0), 32632),  # counts in grads from Paris
     ],
 )
 def test_where_lengths_are_not_those_on_the_ground_work_is_in_utm(
@@ -155,6 +156,7 @@ def test_national_grids_stay_to_their_borders() -> None:
         ("28992", (7.1, 53.0)),
         ("2056", (10.4, 46.6)),
         ("3035", (2.3, 48.9)),
+        ("27572", (6.0, 47.3)),  # based on grads from Paris
     ):
         crs = pyproj.CRS.from_epsg(int(code))
         x, y = pyproj.Transformer.from_crs(WGS84, crs, always_xy=True).transform(*place)
