@@ -41,6 +41,7 @@ def with_meeting_planes(
     free: Collection[int] = (),
     turns: bool = False,
     corners_stay: bool = False,
+    only: np.ndarray | None = None,
 ) -> tuple[Mesh, np.ndarray]:
     """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
     planes of each vertex are from it, (v,), where they cannot).
@@ -52,6 +53,9 @@ def with_meeting_planes(
 
     corners_stay: whether vertices that no plane can move stay, too: a corner of the footprint within a wall may be a
     millimetre off its line.
+
+    only: bool (v,), vertices whose planes shall meet: those around them change, and others count only where planes
+    changed.
     """
     planes = mesh.planes
     num = len(planes.kind)
@@ -72,7 +76,8 @@ def with_meeting_planes(
     can_move = np.full(len(first), not corners_stay)
     can_move[at[moves[plane]]] = True
     apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
-    is_off = apart_m >= _EXACT_M
+    counts = np.ones(len(first), bool) if only is None else np.bincount(place, weights=only) > 0
+    is_off = (apart_m >= _EXACT_M) & counts
     if is_off.any():
         is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), bool))
         # places where planes depend on each other, as more meet than a point needs
@@ -89,8 +94,10 @@ def with_meeting_planes(
             is_own, is_here = moves & (together[:num] == number), together[num:] == number
             is_here[at[is_own[plane]]] = True
             here, own_at = numbered(at[is_here[at]])
+            counts[here] = True
             point_m[here] = _met(row, scale, is_own, point_m[here], own_at, plane[is_here[at]])
         apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
+    apart_m = np.where(counts, apart_m, 0.0)
     moved_m = point_m[place, :3]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))

@@ -36,9 +36,10 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     and the mesh stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are
     divided anew.
     """
-    mesh, is_shorter, tried = _with_planes(mesh), True, set[object]()
-    # after others went, and with faces divided anew, an edge may go that could not before
+    is_shorter, tried = True, set[object]()
+    # after others went, and with faces divided anew, planes may meet, and an edge may go, that could not before
     while is_shorter:
+        mesh = _with_planes(mesh)
         shorter = _without_short_edges(mesh, short_m, walls_stay, tried)
         is_shorter, mesh = shorter is not mesh, _without_slivers(shorter)
     return mesh
@@ -103,15 +104,16 @@ def _without_edge(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: b
     each[gone] = end
     vertex, plane = mesh.at
     free = () if walls_stay else {*plane[vertex == end].tolist()} ^ {*plane[vertex == gone].tolist()}
-    result = _met(mesh, each, short_m, free)
+    result = _met(mesh, each, short_m, free, each == end)
     if result is not None:
         result = _merged(result, end, gone)
     elif gone not in floor:
         merged = _merged(mesh, end, gone)
-        result = _met(merged, np.arange(len(merged.vertex_m)), short_m)
+        is_end = (merged.vertex_m == mesh.vertex_m[end]).all(axis=1)
+        result = _met(merged, np.arange(len(merged.vertex_m)), short_m, only=is_end)
     if result is not None and _is_thin(result).sum() > num_thin:
         # the other end of a step that went, or a vertex that a wall now passes through
-        result = _without_short_edges(_with_planes(result), _NO_HEIGHT_M, walls_stay, set())
+        result = _without_short_edges(_flipped(result), _NO_HEIGHT_M, walls_stay, set())
         result = None if _is_thin(result).sum() > num_thin else result
     return result if result is not None and _is_as_valid(result, mesh) else None
 
@@ -138,11 +140,19 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
     return result if is_whole and result.is_closed else mesh
 
 
-def _met(mesh: Mesh, place: np.ndarray, max_move_m: float = 0.0, free: Collection[int] = ()) -> Mesh | None:
+def _met(
+    mesh: Mesh,
+    place: np.ndarray,
+    max_move_m: float = 0.0,
+    free: Collection[int] = (),
+    only: np.ndarray | None = None,
+) -> Mesh | None:
     """The mesh whose planes meet at ``place`` (:func:`p2wss.mesh.meeting.with_meeting_planes`), if possible without
     turning walls; None if no change of centimetres does that."""
     for turns in (False, True):
-        moved, apart_m = with_meeting_planes(mesh, place, free=free, turns=turns, corners_stay=not free)
+        moved, apart_m = with_meeting_planes(
+            mesh, place, free=free, turns=turns, corners_stay=not free, only=only
+        )
         if apart_m.max() > _PLANAR_M:
             continue
         if moved is mesh:

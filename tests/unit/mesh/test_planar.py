@@ -120,6 +120,15 @@ def test_roofs_bent_by_more_than_centimetres_stay() -> None:
     assert with_exact_faces(mesh.moved(bent)).vertex_m.tolist() == bent.tolist()
 
 
+def test_short_edges_go_though_planes_elsewhere_do_not_meet() -> None:
+    bent_m = hip().vertex_m.copy()
+    bent_m[int(np.argmax(bent_m[:, 2]))] += [0, 0, 0.5]
+    bent, step = hip().moved(bent_m), boxes(0.03).translated([50, 0, 0])
+    exact = with_exact_faces(Mesh.joined([bent, step]))
+    assert step.edge_m.min() < SHORT_EDGE_M < exact.edge_m.min()
+    assert exact.vertex_m[exact.vertex_m[:, 0] < 20].tolist() == bent_m.tolist()
+
+
 def test_a_corner_of_the_footprint_beside_the_line_of_its_wall_keeps_no_short_edge() -> None:
     """Three millimetres, as outlines are rounded, between two pieces of one wall. The low step there goes."""
     corner = [6, 3e-3]
