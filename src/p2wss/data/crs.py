@@ -353,8 +353,11 @@ def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: s
     before = shapely.get_coordinates(shapes)
     after = np.column_stack(transformer.transform(*before.T)) if len(before) else before
     if np.isfinite(before).all(axis=1).any() and not np.isfinite(after).all(axis=1).any():
+        no_degrees = source.is_geographic and np.abs(before[np.isfinite(before)]).max() > 360
+        remedy = "; they are no degrees: save it with its CRS (GeoJSON without one counts as degrees)"
         raise InputError(
             f"{path}: is in {source.name}, whose coordinates cannot be transformed to {target.name}"
+            f"{remedy if no_degrees else ''}"
         )
     result = np.asarray(shapely.set_coordinates(shapes, after))
     accuracy_m = _accuracy_m(transformer)

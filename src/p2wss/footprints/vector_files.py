@@ -107,7 +107,7 @@ def _options(path: str | Path) -> dict[str, str]:
     """What GDAL must be told to read a file."""
     ending = Path(path).suffix.lower()
     if ending in _TABLES:
-        return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS)}
+        return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
     return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending in (".osm", ".pbf") else {}
 
 

@@ -196,7 +196,9 @@ def test_what_cannot_be_transformed_is_refused() -> None:
     with pytest.raises(InputError, match="cannot be transformed to one in metres"):
         metric_crs(pyproj.CRS.from_epsg(4978), None, "a.laz")
     shapes = np.array([shapely.box(700_000, 6_600_000, 700_010, 6_600_010)])
-    with pytest.raises(InputError, match=r"f\.gpkg: is in WGS 84, whose coordinates cannot be transformed"):
+    with pytest.raises(
+        InputError, match=r"f\.gpkg: is in WGS 84, whose .*; they are no degrees: save it with"
+    ):
         reprojected(shapes, WGS84, LAMBERT, "f.gpkg")
 
 

@@ -193,6 +193,9 @@ def test_columns_of_the_input_come_first_and_keep_their_names() -> None:
         "etages": np.int32(2),
         "codes": np.array([1, 2]),
         "geometry": "none",
+        "geom": "none",
+        "Usage": "Garage",
+        "input_status": "old",
     }
     values = attributes(result(building("a", BOX, GABLE), columns=columns))
     assert list(values)[:3] == ["usage", "input_STATUS", "height"]
@@ -200,6 +203,9 @@ def test_columns_of_the_input_come_first_and_keep_their_names() -> None:
     assert values["gap"] is None and values["etages"] == 2 and values["height"] == 4.5
     assert values["built"] == "1931-05-01T00:00:00" and values["day"] == "2020-01-02T03:00:00"
     assert values["codes"] == "[1 2]" and values["input_geometry"] == "none"
+    # names that SQL, and so GeoPackage, does not tell apart
+    assert values["input_geom"] == "none" and values["input_Usage"] == "Garage"
+    assert values["input_input_status"] == "old" and len({name.lower() for name in values}) == len(values)
     json.dumps(values)
 
 

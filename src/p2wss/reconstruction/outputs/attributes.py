@@ -49,18 +49,21 @@ _LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple hor
 def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: str = P2WSS) -> dict[str, Any]:
     """The attributes of a building: the columns of its footprint, then ours; None where a value is unknown.
 
-    A column of the input with the name of one of ours, in upper or lower case, gets the prefix ``input_``. names:
+    A column of the input with the name of one of ours or of another column, in upper or lower case, gets the prefix
+    ``input_``: tables of SQL do not tell them apart. names:
     ``p2wss``, or ``3dbag`` for the names of 3DBAG where it has a name. facts: of the run; its ``clouds`` are an
     attribute of 3DBAG.
     """
     ours = _attributes(result)
     if names == NAMES_3DBAG:
         ours = _as_in_3dbag(ours, result, (facts or {}).get("clouds", []))
-    reserved = {name.lower() for name in (*ours, "building_id", "geometry", "fid")}
-    columns = {
-        f"input_{name}" if name.lower() in reserved else name: _plain(value)
-        for name, value in result.columns.items()
-    }
+    # the last two: of GeoPackage
+    taken, columns = {name.lower() for name in (*ours, "building_id", "geometry", "geom", "fid")}, {}
+    for name, value in result.columns.items():
+        while name.lower() in taken:
+            name = f"input_{name}"
+        taken.add(name.lower())
+        columns[name] = _plain(value)
     return columns | ours
 
 
