@@ -18,12 +18,14 @@ from types import SimpleNamespace
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from matplotlib import pyplot
 from places import ROOT, SHARED
 
 import p2wss
+from p2wss.reconstruction.inputs import open_clouds
 
 PAGE = ROOT / "docs" / "manual" / "python.md"
 DELFT = SHARED / "data" / "delft_ahn3"
@@ -244,6 +246,14 @@ def test_a_scene_is_closed_with_its_files_and_reading_one_gives_the_same_meshes(
 def test_outlines_of_an_array() -> None:
     frame = p2wss.outlines(gable_points(), crs="EPSG:2154")
     assert len(frame) == 1 and 45 < frame.area.iloc[0] < 60  # walls stand back from the eaves
+
+
+def test_columns_of_tables_of_points_are_found_by_their_names() -> None:
+    table = pd.DataFrame({"Z": [3.0, 4.0], "intensity": [90.0, 900.0], "X": [1.0, 5.0], "y": [2.0, 6.0]})
+    for classes, expected in (({}, [1, 1]), ({"Classification": [2, 6]}, [2, 6])):
+        _, cloud = open_clouds(table.assign(**classes))
+        assert cloud is not None and cloud.classification.tolist() == expected
+        assert np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m]).tolist() == [[1, 2, 3], [5, 6, 4]]
 
 
 def test_wrong_roofs_and_clouds_are_one_line() -> None:

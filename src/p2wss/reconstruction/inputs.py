@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import laspy
 import numpy as np
@@ -277,7 +277,12 @@ def _in_memory(cloud: CloudInput) -> Cloud:
     if isinstance(cloud, laspy.LasData):
         return reading.cloud_of(cloud)
     try:
-        points = np.asarray(cloud, dtype=float)
+        # of a table with names, whatever their order, and whatever other columns there are
+        table: Any = cloud
+        named = {str(name).lower(): name for name in getattr(table, "columns", ())}
+        if {"x", "y", "z"} <= named.keys():
+            table = table[[named[name] for name in ("x", "y", "z", "classification") if name in named]]
+        points = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"the cloud is a {type(cloud).__name__}; give LAS files or points, before the footprints"

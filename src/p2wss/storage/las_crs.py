@@ -217,7 +217,9 @@ def in_degrees(flat: pyproj.CRS, x: float, y: float) -> tuple[float, float]:
 def meridian_deg(flat: pyproj.CRS) -> float:
     """Longitude of the prime meridian of a CRS."""
     meridian = flat.prime_meridian
-    return 0.0 if meridian is None else float(np.rad2deg(meridian.longitude * meridian.unit_conversion_factor))
+    return (
+        0.0 if meridian is None else float(np.rad2deg(meridian.longitude * meridian.unit_conversion_factor))
+    )
 
 
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:
