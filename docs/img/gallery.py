@@ -41,8 +41,14 @@ class Picture(NamedTuple):
     zoom: int = 2
 
 
-_DEMO, _WINGS, _OLD = (
-    Path(name) for name in ("p2wss-demo/out/lidar.html", "wings-out/wings.html", "old-out/old.html")
+_DEMO, _WINGS, _LARGE, _OLD = (
+    Path(name)
+    for name in (
+        "p2wss-demo/out/lidar.html",
+        "wings-out/wings.html",
+        "large-out/large.html",
+        "old-out/old.html",
+    )
 )
 GALLERY = {
     "demo_points": Picture(_DEMO, ("points",), zoom=0),
@@ -50,6 +56,7 @@ GALLERY = {
     "roof_types": Picture(_DEMO, ("p2wss", "ground"), "roof"),
     "wings": Picture(_WINGS, ("p2wss", "ground"), zoom=4),
     "heights": Picture(_WINGS, ("p2wss", "ground"), "height"),
+    "large": Picture(_LARGE, ("p2wss", "ground"), zoom=1),
     "old": Picture(_OLD, ("p2wss",)),
     "old_residual": Picture(_OLD, ("p2wss",), "residual"),
 }
