@@ -28,6 +28,8 @@ _NUM_RINGS = 2
 # a plane with more places than this moves only where it does not meet others
 _MANY_PLACES = 16
 _GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
+# a plane that meets others more often than this is among the last of equations
+_MANY_MEETINGS = 200
 # so many planes and places that depend on each other are solved for together
 _TOGETHER = 60
 # a triangle is turned over if twice its area along its former normal is less than minus this
@@ -331,7 +333,8 @@ def _solved(pair: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarra
     """The least changes (n, 3) that solve normal equations of :func:`_sums`.
 
     By Cholesky's factors within the envelope, planes in the order of Cuthill and McKee (1969): few planes meet, and the
-    result does not depend on the threads of a library.
+    result does not depend on the threads of a library. A plane that many meet is among the last, as all that meet it
+    would be near to each other in that order.
     """
     num = len(right)
     begin = np.zeros(num + 1, np.int64)
@@ -344,15 +347,16 @@ def _solved(pair: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarra
         end[pair[k, 0]] += 1
     # from each plane that none before it meets to those that it meets, and so on
     order, place, count = np.empty(num, np.int64), np.full(num, -1), 0
-    for start in range(num):
-        head = count
-        if place[start] < 0:
-            order[count], place[start], count = start, count, count + 1
-        while head < count:
-            for other in beside[begin[order[head]] : begin[order[head] + 1]]:
-                if place[other] < 0:
-                    order[count], place[other], count = other, count, count + 1
-            head += 1
+    for is_last in range(2):
+        for start in range(num):
+            head = count
+            if place[start] < 0 and (is_last or begin[start + 1] - begin[start] <= _MANY_MEETINGS):
+                order[count], place[start], count = start, count, count + 1
+            while head < count:
+                for other in beside[begin[order[head]] : begin[order[head] + 1]]:
+                    if place[other] < 0 and begin[other + 1] - begin[other] <= _MANY_MEETINGS:
+                        order[count], place[other], count = other, count, count + 1
+                head += 1
     size = 3 * num
     first = np.empty(size, np.int64)
     for i in range(num):

@@ -80,14 +80,17 @@ def test_planes_stay_finite_where_their_changes_do_not(monkeypatch: pytest.Monke
     assert np.isfinite(moved.vertex_m).all() and apart_m.max() > 1e-4
 
 
-@pytest.mark.parametrize(("num", "num_links"), [(1, 0), (2, 1), (30, 25), (150, 400)])
+@pytest.mark.parametrize(("num", "num_links"), [(1, 0), (2, 1), (30, 25), (150, 400), (301, 300)])
 def test_changes_are_those_of_a_dense_solver(num: int, num_links: int) -> None:
+    """Of the last ones, the first plane meets all others."""
     draw = np.random.default_rng(num)
     link = draw.integers(num, size=(num_links, 2))
+    if num_links == num - 1:
+        link = np.column_stack([np.zeros(num_links, int), np.arange(1, num)])
     pair = np.concatenate([link, link[:, ::-1], np.repeat(np.arange(num), 2).reshape(-1, 2)])
     share = draw.uniform(-1, 1, (num_links, 3, 3))
     block = draw.uniform(-1, 1, (num, 3, 3))
-    own = block @ block.swapaxes(1, 2) + 20 * np.eye(3)
+    own = block @ block.swapaxes(1, 2) + (20 + num) * np.eye(3)
     share = np.concatenate([share, share.swapaxes(1, 2), own])
     right, matrix = draw.uniform(-1, 1, (num, 3)), np.zeros((num, 3, num, 3))
     np.add.at(matrix, (pair[:, 0], slice(None), pair[:, 1]), share)

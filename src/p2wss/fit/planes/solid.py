@@ -102,33 +102,53 @@ class _Borders:
         result._drop_straight_vertices()
         return result
 
+    def _beside(self) -> defaultdict[int, set[int]]:
+        """By vertex, those at the other ends of its sides."""
+        beside = defaultdict[int, set[int]](set)
+        for start, end in self.face:
+            beside[start].add(end)
+            beside[end].add(start)
+        return beside
+
     def _drop_short_sides(self) -> None:
         """Makes one of the ends of short sides, where no two faces are then on one side of another; a face of no width
         vanishes. Corners stay."""
         edges = np.array([*self.face])
         step_m = self.xy_m[edges[:, 1]] - self.xy_m[edges[:, 0]]
-        for edge in map(tuple, edges[np.hypot(*step_m.T) < _STRAIGHT_M].tolist()):
+        short = edges[np.hypot(*step_m.T) < _STRAIGHT_M].tolist()
+        beside, face, line = self._beside() if short else {}, self.face, self.line
+        for edge in map(tuple, short):
             end, gone = edge if edge[1] not in self.fixed else edge[::-1]
-            if edge not in self.face or gone in self.fixed:
+            if edge not in face or gone in self.fixed:
                 continue
-            sides = defaultdict[tuple[int, int], list[tuple[int, int]]](list)
-            for each, number in self.face.items():
-                start, stop = (end if vertex == gone else vertex for vertex in each)
-                if start != stop:
-                    sides[start, stop].append((number, self.line[each]))
+            others = sorted(beside[gone] - {end})
+            moved = {(end, each): (gone, each) for each in others} | {
+                (each, end): (each, gone) for each in others
+            }
+            sides = {
+                new: [(face[each], line[each]) for each in (new, old) if each in face]
+                for new, old in moved.items()
+            }
             rest = {
-                each: [one for one in both if one[0] not in {two[0] for two in sides.get(each[::-1], ())}]
-                for each, both in sides.items()
+                new: [one for one in both if one[0] not in {two[0] for two in sides[new[::-1]]}]
+                for new, both in sides.items()
             }
             if all(len(both) < 2 for both in rest.values()):
-                self.face = {each: both[0][0] for each, both in rest.items() if both}
-                self.line = {each: both[0][1] for each, both in rest.items() if both}
+                for each in (edge, edge[::-1], *moved, *moved.values()):
+                    face.pop(each, None), line.pop(each, None)
+                for new, both in rest.items():
+                    if both:
+                        ((face[new], line[new]),) = both
+                beside.pop(gone)
+                beside[end].discard(gone)
+                for each in others:
+                    beside[each].discard(gone)
+                    is_beside = (end, each) in face or (each, end) in face
+                    for one, other in ((end, each), (each, end)):
+                        (beside[one].add if is_beside else beside[one].discard)(other)
 
     def _drop_straight_vertices(self) -> None:
-        beside = defaultdict(set)
-        for start, end in self.face:
-            beside[start].add(end)
-            beside[end].add(start)
+        beside = self._beside()
         # complex numbers, which Python takes faster than numpy takes arrays of two
         pending, xy = sorted(beside, reverse=True), (self.xy_m @ [1, 1j]).tolist()
         while pending:
