@@ -157,19 +157,14 @@ def planar(xyz_m: np.ndarray) -> np.ndarray:
     if len(xyz_m) <= RULES.num_neighbours:
         return np.zeros(len(xyz_m), bool)
     local = xyz_m - np.floor(xyz_m.min(axis=0))
-    tree = scipy.spatial.cKDTree(local)
-    is_flat = np.zeros(len(local), bool)
-    neighbour = np.empty((len(local), RULES.num_neighbours), np.int32)
+    distance_m, neighbour = nearest(local, local, RULES.num_neighbours)
+    is_flat = distance_m[:, -1] <= RULES.max_distance_m
     for first in range(0, len(local), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        distance_m, neighbour[rows] = tree.query(local[rows], RULES.num_neighbours)
         around = local[neighbour[rows]]
         around = around - around.mean(axis=1, keepdims=True)
         values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / RULES.num_neighbours)
-        is_flat[rows] = (
-            (np.sqrt(np.maximum(values[:, 0], 0)) <= RULES.max_roughness_m)
-            & (np.abs(vectors[:, 2, 0]) >= np.cos(np.radians(RULES.steepest_deg)))
-            & (distance_m[:, -1] <= RULES.max_distance_m)
-        )
+        is_flat[rows] &= np.sqrt(np.maximum(values[:, 0], 0)) <= RULES.max_roughness_m
+        is_flat[rows] &= np.abs(vectors[:, 2, 0]) >= np.cos(np.radians(RULES.steepest_deg))
     # edges and chimneys of a roof are among its points, single branches of a tree are not
     return is_flat[neighbour].mean(axis=1) >= 0.5
