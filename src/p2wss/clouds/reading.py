@@ -110,14 +110,25 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
             stated = stated_crs(header)
         x_min, y_min, x_max, y_max = bounds = bounds_of(header)
         has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
-        count = int(header.point_count)
+        count, doubts = int(header.point_count), stated.doubts
+        num_held = _num_held(header, path.stat().st_size)
+        if num_held > count:
+            doubts += (f"the header states {count:,} points of {num_held:,}; the others are not read",)
         headers.append(
-            CloudHeader(
-                path, count, stated.crs, bounds if has_bounds else None, stated.heights, stated.doubts
-            )
+            CloudHeader(path, count, stated.crs, bounds if has_bounds else None, stated.heights, doubts)
         )
     common_header(headers)
     return headers
+
+
+def _num_held(header: laspy.LasHeader, size: int) -> int:
+    """The points for which a file of this size has room; 0 where they are compressed."""
+    if header.are_points_compressed:
+        return 0
+    end = header.start_of_first_evlr if header.number_of_evlrs else size
+    # LAS 1.3 may have waveforms behind the points, and programs leave some bytes there
+    num = (end - header.offset_to_point_data) // header.point_format.size
+    return num if num > 1.01 * header.point_count and header.start_of_waveform_data_packet_record == 0 else 0
 
 
 def common_header(headers: Sequence[CloudHeader]) -> CloudHeader | None:

@@ -239,7 +239,16 @@ def stated_heights_m(
     by_name = {name.lower(): values for name, values in columns.items()}
     candidates = []
     if height_field is not None:
-        candidates.append(_metres(_column(features.columns, height_field, path)))
+        values = _column(features.columns, height_field, path)
+        candidates.append(_metres(values))
+        stated = values[~is_missing(values)]
+        if len(stated) and np.isnan(_metres(stated)).all():
+            log.warning(
+                "warning: %s: no height is used of column %s, as none is a number: %r, for example",
+                path,
+                height_field,
+                stated[0],
+            )
     candidates += [_metres(by_name[name]) for name in schema.heights_m if name in by_name]
     candidates += [
         _metres(by_name[roof]) - _metres(by_name[ground])

@@ -57,6 +57,15 @@ def test_shapefiles_of_bd_topo() -> None:
     assert list(stated_heights_m(features(table), SCHEMAS["bdtopo"], None, "f")) == [6.0, 5.0]
 
 
+@pytest.mark.parametrize(("values", "is_told"), [(["brick", None], True), (["3 m", "high"], False)])
+def test_a_column_of_heights_without_a_number_is_told(
+    values: list[str | None], is_told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    table = features(pd.DataFrame({"material": values}))
+    stated_heights_m(table, schema_of([]), "material", "f")
+    assert ("no height is used of column material, as none is a number: 'brick'" in caplog.text) == is_told
+
+
 def test_heights_as_text() -> None:
     table = pd.DataFrame({"height": ["12", "12.5 m", "40 ft", "40'", "3,5", "-4", "high", None, "5000"]})
     expected = [12, 12.5, 12.192, 12.192, 3.5, np.nan, np.nan, np.nan, np.nan]

@@ -1,0 +1,29 @@
+"""What headers of clouds state, against what the files hold."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from p2wss.clouds.reading import read_headers
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.5, True), (1.0, False)])
+def test_a_header_that_states_fewer_points_than_the_file_holds_is_told(
+    tmp_path: Path, share: float, is_told: bool
+) -> None:
+    cloud = laspy.create(point_format=1, file_version="1.2")
+    cloud.x, cloud.y, cloud.z = np.arange(3000.0).reshape(3, 1000)
+    path = tmp_path / "cloud.las"
+    cloud.write(path)
+    content = bytearray(path.read_bytes())
+    # LAS 1.2, table 1: the number of point records
+    struct.pack_into("<I", content, 107, int(1000 * share))
+    path.write_bytes(content + bytes(40))
+    (header,) = read_headers([path])
+    told = [each for each in header.doubts if "1,001" in each and "500" in each]
+    assert len(told) == is_told and header.num_points == 1000 * share
