@@ -23,7 +23,7 @@ ROOFS = "roofs/roofs.city.jsonl"
     default="streets",
     show_default=True,
     help="wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall to "
-    "wall; large: schools, convents, factories, .. of 50 to 300 planes; all with their true roofs as CityJSON",
+    "wall; large: schools, convents, factories, .. of up to some 50 planes; all with their true roofs as CityJSON",
 )
 def towns(seed: int, out: Path, lidar: bool, kind: str) -> None:
     """Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats."""

@@ -9,6 +9,7 @@ from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, 
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.types import numbered
 
 _CELL_M = 0.5
 # Returns from walls: in a cell of the plan of this size at most this share of the points is within about this height of
@@ -45,8 +46,8 @@ def wall_hits(point_m: np.ndarray) -> np.ndarray:
     size = np.array([_WALL_CELL_M, _WALL_CELL_M, _SAME_HEIGHT_M])
     x, y, z = np.floor((point_m - point_m.min(axis=0)) / size).astype(np.int64).T
     column = x * (y.max() + 1) + y
+    _, column = numbered(column)
     count = np.bincount(column)
-    column, count = (np.cumsum(count > 0) - 1)[column], count[count > 0]
     height, last = point_m[np.lexsort((point_m[:, 2], column)), 2], np.cumsum(count) - 1
     second_highest_m = height[np.maximum(last - 1, last - count + 1)]
     below = point_m[:, 2] < second_highest_m[column] - _BELOW_TOP_M

@@ -242,7 +242,7 @@ def stated_heights_m(
         values = _column(features.columns, height_field, path)
         candidates.append(_metres(values))
         stated = values[~is_missing(values)]
-        if len(stated) and np.isnan(_metres(stated)).all():
+        if len(stated) and np.isnan(candidates[0]).all():
             log.warning(
                 "warning: %s: no height is used of column %s, as none is a number: %r, for example",
                 path,

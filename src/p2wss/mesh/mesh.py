@@ -13,7 +13,7 @@ from p2wss.mesh import topology
 from p2wss.mesh.faces import Surface, surfaces_of
 from p2wss.mesh.planes import face_planes
 from p2wss.mesh.topology import NEXT
-from p2wss.skeleton.types import FaceKind, Meshes, distinct
+from p2wss.skeleton.types import FaceKind, Meshes, distinct, numbered
 
 if TYPE_CHECKING:
     import trimesh
@@ -150,9 +150,7 @@ class Mesh:
     @cached_property
     def number(self) -> np.ndarray:
         """int (t,), the plane of each triangle, numbered from 0 in the order of their labels."""
-        # numpy's ``unique`` takes twice as long
-        label = self.label - self.label.min(initial=0)
-        return np.asarray((np.cumsum(np.bincount(label) > 0) - 1)[label])
+        return numbered(self.label)[1]
 
     @cached_property
     def at(self) -> tuple[np.ndarray, np.ndarray]:

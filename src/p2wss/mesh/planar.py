@@ -15,7 +15,7 @@ from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind, distinct, writable
 
-# planes of which a corner stays further than this, or moves further than the second figure, stay as they are
+# planes that a corner of theirs stays further from than this, or leaves by more than the second figure, stay
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
@@ -87,7 +87,7 @@ def _without_shortest(
         if around in kept or not _can_merge(mesh, end, gone):
             continue
         is_near = np.isin(mesh.label, np.concatenate(labels))
-        state = around, mesh.vertex_m[np.unique(mesh.triangle[is_near])].tobytes()
+        state = around, mesh.vertex_m[distinct(mesh.triangle[is_near])].tobytes()
         result = None if state in tried else _without_edge(mesh, end, gone, short_m, walls_stay)
         if result is not None:
             return result
@@ -99,7 +99,6 @@ def _without_shortest(
 def _without_edge(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: bool) -> Mesh | None:
     """The mesh in which the ends of an edge are one vertex, None if its planes do not meet there, or if a vertex comes
     to where another one is, as where four walls share an upright edge, or beyond."""
-    num_thin, floor = _is_thin(mesh).sum(), mesh.triangle[mesh.kind == FaceKind.GROUND]
     each = np.arange(len(mesh.vertex_m))
     each[gone] = end
     vertex, plane = mesh.at
@@ -107,15 +106,17 @@ def _without_edge(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: b
     result = _met(mesh, each, short_m, free, each == end)
     if result is not None:
         result = _merged(result, end, gone)
-    elif gone not in floor:
+    elif gone not in mesh.triangle[mesh.kind == _GROUND]:
         merged = _merged(mesh, end, gone)
         is_end = (merged.vertex_m == mesh.vertex_m[end]).all(axis=1)
         result = _met(merged, np.arange(len(merged.vertex_m)), short_m, only=is_end)
-    if result is not None and _is_thin(result).sum() > num_thin:
+    if result is None:
+        return None
+    num_thin = _is_thin(mesh).sum()
+    if _is_thin(result).sum() > num_thin:
         # the other end of a step that went, or a vertex that a wall now passes through
         result = _without_short_edges(_flipped(result), _NO_HEIGHT_M, walls_stay, set())
-        result = None if _is_thin(result).sum() > num_thin else result
-    return result if result is not None and _is_as_valid(result, mesh) else None
+    return result if _is_thin(result).sum() <= num_thin and _is_as_valid(result, mesh) else None
 
 
 def without_straight_vertices(mesh: Mesh) -> Mesh:

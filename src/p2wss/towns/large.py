@@ -1,4 +1,4 @@
-"""A town of large buildings, of 50 to 300 planes: schools, convents, palaces, factories, churches, round buildings.
+"""A town of large buildings, of up to some 50 planes: schools, convents, palaces, factories, churches, round buildings.
 
 They are bodies as those of :mod:`p2wss.towns.wings`. Trees grow in courts, some roofs have no class or that of trees,
 and the lines of the scanner are far apart. All sizes below are in metres and degrees.
@@ -25,7 +25,7 @@ Draw = Callable[[np.random.Generator], list[Wing]]
 
 def draw_large(rng: np.random.Generator) -> list[DrawnBuilding]:
     """Buildings of each shape in turn."""
-    town = draw_groups(rng, tuple(_SHAPES), lambda shape, rng: [_SHAPES[shape](rng)])
+    town = draw_groups(rng, SHAPES, lambda shape, rng: [_SHAPES[shape](rng)])
     for building in town:
         seen_as = int(rng.choice(_SEEN_AS, p=_SEEN_SHARE))
         for wing in building.wings:

@@ -14,7 +14,7 @@ from p2wss.fit.planes.lines import Line, edges_of, ends_of
 from p2wss.mesh.topology import first_of_faces
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import cross, differs, distinct, writable
+from p2wss.skeleton.types import cross, differs, distinct, numbered, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -96,14 +96,12 @@ def arrange(
     half, cell = half[rows] ^ 1, cell[rows]
     at = np.full(2 * len(link), -1)
     at[half] = np.arange(len(half))
-    number = link.ravel()[np.column_stack([half, half ^ 1])]
-    is_used = np.zeros(len(place), bool)
-    is_used[number] = True
-    start, end = (np.cumsum(is_used) - 1)[number].T
+    used, vertex = numbered(link.ravel()[np.concatenate([half, half ^ 1])])
+    start, end = vertex.reshape(2, -1)
     back = at[half ^ 1]
     once = np.flatnonzero((back < 0) | (start < end))
     return Arrangement(
-        place_m[is_used],
+        place_m[used],
         middle_m[order],
         shapely.area(shapely.orient_polygons(cells[inside[order]])),
         np.column_stack([cell, np.where(back < 0, -1, cell[back])])[once],

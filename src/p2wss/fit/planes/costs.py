@@ -17,7 +17,7 @@ from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped, groups
 from p2wss.skeleton.nearest import nearest
-from p2wss.skeleton.types import distinct, writable
+from p2wss.skeleton.types import distinct, numbered, writable
 
 # metres above the ground: no roof is lower, at a price beyond all others
 _LOWEST_M, FORBIDDEN_M3 = 0.3, 1e4
@@ -228,9 +228,7 @@ def candidates_of(
     seen_square = ((seen_m - low_m) / size_m).astype(int) @ [shape[1], 1]
     num_planes = int(label.max()) + 1
     seen = distinct(seen_square * num_planes + label)
-    is_wanted = np.zeros(shape.prod(), bool)
-    is_wanted[square] = True
-    wanted, wanted_of = np.flatnonzero(is_wanted), (np.cumsum(is_wanted) - 1)[square]
+    wanted, wanted_of = numbered(square)
     middle_m = low_m + size_m * (np.column_stack(np.divmod(wanted, shape[1])) + 0.5)
     to_seen_m = nearest(seen_m, middle_m)[0][:, 0]
     square_first, square_plane = _candidates_at(

@@ -50,9 +50,8 @@ def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: st
     """The attributes of a building: the columns of its footprint, then ours; None where a value is unknown.
 
     A column of the input with the name of one of ours or of another column, in upper or lower case, gets the prefix
-    ``input_``: tables of SQL do not tell them apart. names:
-    ``p2wss``, or ``3dbag`` for the names of 3DBAG where it has a name. facts: of the run; its ``clouds`` are an
-    attribute of 3DBAG.
+    ``input_``: tables of SQL do not tell them apart. names: ``p2wss``, or ``3dbag`` for the names of 3DBAG where it has
+    a name. facts: of the run; its ``clouds`` are an attribute of 3DBAG.
     """
     ours = _attributes(result)
     if names == NAMES_3DBAG:

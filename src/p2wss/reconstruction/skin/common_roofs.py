@@ -17,7 +17,7 @@ from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
 # steps between neighbours lower than this are none, as heights are often stated in tenths of a metre, and no vertex
-# moves further
+# leaves a plane at it by more
 MAX_STEP_M = 0.12
 # planes do not meet if they are further than this from their point
 _APART_M = 2e-4
@@ -45,8 +45,8 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
     plane but for centimetres are one afterwards.
 
     Only planes move: roofs stay planar, walls upright, and outer walls and floors where they are unless two walls
-    become one. Steps stay, the highest first, where a vertex would move further than ``max_step_m`` or a triangle turn
-    over.
+    become one. Steps stay, the highest first, where a vertex would leave a plane by more than ``max_step_m`` or a
+    triangle turn over.
     """
     mesh = Mesh.joined(solids)
     building = np.repeat(np.arange(len(solids)), [len(solid.vertex_m) for solid in solids])
