@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.roof.fitter import FittedRoof
-from p2wss.mesh import Mesh, meeting
+from p2wss.mesh import Mesh, meeting, planar
 from p2wss.mesh.meeting import _solved, with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
 from p2wss.mesh.triangulation import triangulated_in_space
@@ -186,6 +187,24 @@ def test_a_ridge_of_little_slope_slides_along_its_roofs_for_a_low_step() -> None
         np.unique(mesh.vertex_m, axis=0)[:, 2].sum() - 4.935, abs=0.02
     )
     assert np.ptp(exact.vertex_m[np.abs(exact.vertex_m[:, 1] - 4) < 1, 1]) > 0.1
+
+
+def test_an_edge_that_could_not_go_is_tried_again_after_others_went(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first attempt at one of the steps between two houses fails."""
+    attempt, refused = planar._without_edge, list[Mesh]()
+
+    def refuses_once(mesh: Mesh, *more: Any) -> Mesh | None:
+        if not refused:
+            refused.append(mesh)
+            return None
+        return attempt(mesh, *more)
+
+    mesh = gables(5.0, 5.08)
+    expected = with_exact_faces(mesh, 0.2)
+    monkeypatch.setattr(planar, "_without_edge", refuses_once)
+    exact = with_exact_faces(mesh, 0.2)
+    assert refused and mesh.edge_m.min() < 0.1 and exact.edge_m.min() > 2
+    assert len(exact.triangle) == len(expected.triangle)
 
 
 def test_a_notch_of_the_footprint_stays() -> None:
