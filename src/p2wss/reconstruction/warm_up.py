@@ -83,7 +83,7 @@ def warm_product() -> None:
     with_exact_faces(mesh.moved(mesh.vertex_m + away_m * (mesh.vertex_m[:, 2:] > 1)))
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     # only footprints that may have to move
-    solve_shift(np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1), np.zeros(2))
+    solve_shift(np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1), np.ones(1), np.zeros(2))
     # no two of the three touch
     party_wall_areas_m2([results[0].reconstruction.mesh] * 2)
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)

@@ -195,7 +195,7 @@ def decided(*estimates: tuple[float, float, float]) -> Shifts:
 
 def test_only_clear_evidence_moves_a_block() -> None:
     assert decided((1.0, 0.5, 0.15)).shift_m[0] == pytest.approx([1.0, 0.5])
-    # below a quarter of a metre, footprints and roofs say the same
+    # below three tenths of a metre, footprints and roofs say the same
     assert (decided((0.2, 0.1, 0.05)).shift_m == 0).all()
     assert (decided((3.2, 0.0, 0.15)).shift_m == 0).all()
     # edges of one direction alone, or one that may mislead, say little
@@ -219,6 +219,18 @@ def test_a_block_without_evidence_moves_as_all_around_it() -> None:
     apart = decided((1.5, 0.0, 0.15), (-1.0, 1.0, 0.15), (0.0, -1.2, 0.15), (0.0, 0.0, np.inf))
     assert apart.source[3] == NOTHING and np.isnan(apart.sd_m[3]) and (apart.shift_m[3] == 0).all()
     assert decided((1.5, 0.0, 0.15), (0.0, 0.0, np.inf)).source[1] == NOTHING
+
+
+def test_a_block_moves_as_far_as_the_blocks_around_it_allow() -> None:
+    """Evidence of its own and that around it are two observations, where they can be of one map."""
+    in_place = [(0.1, 0.0, 0.1), (-0.1, 0.0, 0.1), (0.0, 0.1, 0.1), (0.0, -0.1, 0.1)]
+    assert decided((0.4, 0.0, 0.2)).shift_m[0] == pytest.approx([0.4, 0.0])
+    assert (decided((0.4, 0.0, 0.2), *in_place).shift_m == 0).all()
+    # the surer it is, the more it keeps
+    sure = decided((0.4, 0.0, 0.1), *in_place)
+    assert 0.3 < sure.shift_m[0, 0] < 0.4 and sure.sd_m[0] < 0.1
+    # a block that moved alone
+    assert decided((1.5, 0.0, 0.15), *in_place).shift_m[0] == pytest.approx([1.5, 0.0])
 
 
 @pytest.mark.parametrize("num_around", [2, 3, 5, 12])

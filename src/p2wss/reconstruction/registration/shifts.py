@@ -59,9 +59,10 @@ class StepRules:
 
     end_m: float = 0.3
     min_edge_m: float = 1.0
-    min_gain_points: float = 4.0
+    min_gain_points: float = 2.0
     min_gain_share: float = 0.5
     sd_m: float = 0.1
+    as_good_points: float = 1.0
 
 
 class Expected(NamedTuple):
@@ -180,9 +181,11 @@ def strips(edge: np.ndarray, outside_m: float = WINDOW_M, inside_m: float = WIND
     return Polygons(corner.reshape(-1, 2), np.arange(len(is_long) + 1) * 4, np.cumsum(num_rings))
 
 
-def edge_steps(edge: np.ndarray, x_m: np.ndarray, y_m: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Where the building ends, along the outward normal from each edge (e, 4), (e,): by the points in the strip over
-    it. NaN where they do not show it.
+def edge_steps(
+    edge: np.ndarray, x_m: np.ndarray, y_m: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the building ends, along the outward normal from each edge (e, 4), (e,), and its standard deviation, (e,):
+    by the points in the strip over it. NaN where they do not show it.
 
     edge: counter-clockwise around the block, so that the outside is on the right. weight: (n,), 1 for a point on a
     building and less than 0 for any other.
@@ -195,15 +198,17 @@ def edge_steps(edge: np.ndarray, x_m: np.ndarray, y_m: np.ndarray, weight: np.nd
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
     value = weight[point]
     order = np.lexsort([value, distance, of_edge])
-    offset_m = _steps(of_edge[order], distance[order], value[order], len(edge))
+    offset_m, sd_m = _steps(of_edge[order], distance[order], value[order], len(edge))
     # where the data end, nothing shows that the building does
     _, _, beyond = crop_points(x_m, y_m, strips(edge, DATA_M, 0.0), 0.0)
-    return np.where(np.diff(beyond) > np.diff(offset) * _MIN_BEYOND_SHARE, offset_m, np.nan)
+    return np.where(np.diff(beyond) > np.diff(offset) * _MIN_BEYOND_SHARE, offset_m, np.nan), sd_m
 
 
-def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, num_edges: int) -> np.ndarray:
-    """The steps from points sorted by edge and distance."""
-    offset_m = np.full(num_edges, np.nan)
+def _steps(
+    of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, num_edges: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The steps from points sorted by edge and distance, and their deviations."""
+    offset_m, sd_m = np.full((2, num_edges), np.nan)
     # from here on of the edges with points only
     edges, start, of_point, count = np.unique(
         of_edge, return_index=True, return_inverse=True, return_counts=True
@@ -225,16 +230,22 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, num_edg
     upper = np.where(of_edge[beyond] == rows, distance[beyond], WINDOW_M)
     spacing = 1.0 / np.maximum(count[is_clear] / (2 * WINDOW_M), 1.0)
     offset_m[rows] = lower + np.minimum((upper - lower) / 2, spacing)
-    return offset_m
+    # a step just behind a point may be anywhere up to the next one
+    is_good = score >= best[of_point] - STEP.as_good_points
+    lowest = np.minimum.reduceat(np.where(is_good, distance, np.inf), start)
+    nearest = np.where(np.append(of_edge[1:] == of_edge[:-1], False), np.append(distance[1:], 0.0), WINDOW_M)
+    highest = np.maximum.reduceat(np.where(is_good, nearest, -np.inf), start)
+    sd_m[edges] = np.sqrt(STEP.sd_m**2 + (highest - lowest) ** 2 / 12)
+    return offset_m, sd_m
 
 
-def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Estimate:
+def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, start_m: np.ndarray) -> Estimate:
     """The shift of one block from the steps of its edges, by robust least squares.
 
     The step of an edge is the shift along its normal, plus an overhang that all edges share.
 
     edge: ends of the edges, (e, 4), metres, already with the shift ``start_m``, (2,), which is part of the result.
-    step_m: of these edges, (e,), NaN for none.
+    step_m, step_sd_m: of these edges, (e,), NaN for none.
     """
     rows = np.flatnonzero(np.isfinite(step_m))
     if not len(rows):
@@ -242,13 +253,17 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Es
     along = edge[rows, 2:] - edge[rows, :2]
     normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
     design = np.column_stack([normal, np.ones(len(rows))])
-    observed = (design, step_m[rows])
-    (value,), (covariance,) = _solved(*observed, np.array([-1]), STEP.sd_m, EXPECTED)
+    observed = (design, step_m[rows], step_sd_m[rows])
+    (value,), (covariance,) = _solved(*observed, np.array([-1]), EXPECTED)
     # those that the others can replace least
     least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[:_MOST_LEFT_OUT]
-    values, covariances = _solved(*observed, least, STEP.sd_m, EXPECTED)
+    values, covariances = _solved(*observed, least, EXPECTED)
     change_m = (values - value)[:, :2]
-    worst = covariances[:, :2, :2] + change_m[:, :, None] * change_m[:, None, :]
+    # steps that disagree by more than they should make all of them less certain
+    off_m = step_m[rows] - design @ value
+    weighted = (off_m / step_sd_m[rows]) ** 2 / (1 + (off_m / EXPECTED.half_weight_m) ** 2)
+    excess = max(1.0, float(weighted.sum()) / max(len(rows) - 2, 1))
+    worst = excess * covariances[:, :2, :2] + change_m[:, :, None] * change_m[:, None, :]
     variance_m2 = np.linalg.eigvalsh(worst)[:, -1].max() + EXPECTED.block_sd_m**2
     # roofs do not end inside walls: decks along two sides look like a shift by half their width
     variance_m2 += min(value[2], 0.0) ** 2
@@ -257,10 +272,10 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, start_m: np.ndarray) -> Es
 
 @entry
 def _solved(
-    design: np.ndarray, step_m: np.ndarray, left_out: np.ndarray, sd_m: float, expected: Expected
+    design: np.ndarray, step_m: np.ndarray, sd_m: np.ndarray, left_out: np.ndarray, expected: Expected
 ) -> tuple[np.ndarray, np.ndarray]:
     """(shift and overhang (m, 3), their covariance without the prior of the shift (m, 3, 3)), each time without one of
-    n edges, -1 for none. design: (n, 3). step_m: (n,). left_out: (m,). sd_m: of a step."""
+    n edges, -1 for none. design: (n, 3). step_m, sd_m: (n,), of the steps. left_out: (m,)."""
     value, covariance = np.zeros((len(left_out), 3)), np.empty((len(left_out), 3, 3))
     prior, matrix, right = np.zeros(3), np.empty((3, 3)), np.empty(3)
     prior[:2], prior[2] = 1 / expected.shift_sd_m**2, 1 / expected.overhang_sd_m**2
@@ -273,7 +288,7 @@ def _solved(
                 for a in range(3):
                     off_m -= design[edge, a] * value[k, a]
                 robust = 1 / (1 + (off_m / expected.half_weight_m) ** 2) if turn else 1.0
-                weight = robust / sd_m**2 if edge != left_out[k] else 0.0
+                weight = robust / sd_m[edge] ** 2 if edge != left_out[k] else 0.0
                 for a in range(3):
                     right[a] += weight * design[edge, a] * step_m[edge]
                     for b in range(3):
