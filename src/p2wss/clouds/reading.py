@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import laspy
@@ -17,6 +19,7 @@ from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of, stated_crs
 from p2wss.storage.las_files import KIND, bounds_of, open_cloud
+from p2wss.storage.log_lines import log
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
@@ -28,6 +31,11 @@ _CHUNK_POINTS = 500_000
 _MAX_WINDOW_POINTS = 5_000_000
 _WEEK_S, _DAY_S = 604_800, 86_400
 _GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
+# coordinates in whole steps of this many per metre are equal: finer than those of files, which are multiples of at
+# least 0.1 mm, and not cut where such multiples are
+_STEPS_PER_M, _PHASE = 8000.0, 0.382
+# large odd numbers, by which three coordinates become one number
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
 @dataclass(frozen=True)
@@ -36,7 +44,7 @@ class Cloud:
 
     x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. day: on
     which the point was recorded or, if its time does not state it, its file was created: uint16 (n,), days since
-    :data:`GPS_EPOCH`, 0 or None if unknown.
+    :data:`GPS_EPOCH`, 0 or None if unknown. path: of the file of all points; None for those of several or of none.
     """
 
     x_m: np.ndarray
@@ -45,6 +53,7 @@ class Cloud:
     classification: np.ndarray
     crs: pyproj.CRS | None
     day: np.ndarray | None = None
+    path: Path | None = None
 
     def __len__(self) -> int:
         return len(self.x_m)
@@ -85,7 +94,7 @@ class CloudHeader:
 
 
 def list_clouds(paths: Sequence[Path]) -> list[Path]:
-    """The files, with the LAS and LAZ files of a folder in its place, in the order of their names.
+    """The files, each once, with the LAS and LAZ files of a folder in its place, in the order of their names.
 
     Raises :class:`InputError` if a folder has no such file.
     """
@@ -98,7 +107,7 @@ def list_clouds(paths: Sequence[Path]) -> list[Path]:
             result += of_folder
         else:
             result.append(path)
-    return result
+    return list(dict.fromkeys(result))
 
 
 def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
@@ -145,17 +154,77 @@ def read_clouds(
     classes: ClassSet = LAS,
 ) -> Cloud:
     """The points of all files, in order, without noise (classes 7 and 18), withheld points and those that ``classes``
-    ignores; their classes become those of LAS.
+    ignores; their classes become those of LAS. Points of several files are those of the first (:func:`repeated`).
 
     bounds: (x_min, y_min, x_max, y_max) of the points to keep, edges included. COPC files are read by window, all
     points of other files are decoded.
 
     Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
-    parts = [_NOTHING, *read_in_chunks(paths, bounds, classes)]
+    return joined(read_in_chunks(paths, bounds, classes))
+
+
+def joined(chunks: Iterable[Cloud]) -> Cloud:
+    """The points of chunks of files, those of several files once; in metres."""
+    parts = [_NOTHING, *chunks]
     names = ("x_m", "y_m", "z_m", "classification", "day")
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return Cloud(**columns, crs=parts[-1].crs)
+    paths = [path for path, _ in groupby(part.path for part in parts)]
+    number = np.cumsum([one.path != other.path for one, other in pairwise([parts[0], *parts])])
+    file = np.repeat(number, [len(part) for part in parts])
+    again, num_points = repeated(columns["x_m"], columns["y_m"], columns["z_m"], file)
+    if again.any():
+        columns = {name: column[~again] for name, column in columns.items()}
+    tell_repeated(num_points, paths)
+    return Cloud(**columns, crs=parts[-1].crs, path=None)
+
+
+def repeated(
+    x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray, file: np.ndarray
+) -> tuple[np.ndarray, Counter[tuple[int, int]]]:
+    """Whether a file before that of each of n points has it, too, bool (n,), and how many points the pairs of files
+    have in common.
+
+    Tiles may overlap, and a folder may have a tile as LAZ and as COPC. Such points count twice where roofs are fitted.
+    Equal points of one file stay, as a survey in steps of 0.1 m has many. file: numbers, ascending.
+    """
+    result = np.zeros(len(file), bool)
+    first = np.flatnonzero(np.diff(file, prepend=-1))
+    if len(first) < 2:
+        return result, Counter()
+    xy = (x_m, y_m)
+    low = np.array([np.minimum.reduceat(v, first) for v in xy]) - 1 / _STEPS_PER_M
+    high = np.array([np.maximum.reduceat(v, first) for v in xy]) + 1 / _STEPS_PER_M
+    meet = (low[:, :, None] <= high[:, None]).all(axis=0)
+    meet &= meet.T & ~np.eye(len(first), dtype=bool)
+    is_shared = np.zeros(len(file), bool)
+    for k, other in np.argwhere(meet).tolist():
+        own = slice(first[k], first[k + 1] if k + 1 < len(first) else len(file))
+        is_in = [(v[own] >= low[i, other]) & (v[own] <= high[i, other]) for i, v in enumerate(xy)]
+        is_shared[own] |= is_in[0] & is_in[1]
+    row = np.flatnonzero(is_shared)
+    # files may differ in their offsets, and thus in the last bits of equal coordinates
+    step = np.floor(np.array([v[row] for v in (x_m, y_m, z_m)]) * _STEPS_PER_M + _PHASE).astype(np.int64)
+    order = np.argsort((step.astype(np.uint64) * _MIX[:, None]).sum(axis=0), kind="stable")
+    step, row = step[:, order], row[order]
+    is_new = np.ones(len(row), bool)
+    is_new[1:] = (step[:, 1:] != step[:, :-1]).any(axis=0)
+    owner = file[row[is_new]][np.cumsum(is_new) - 1]
+    is_again = owner != file[row]
+    result[row] = is_again
+    pair, count = np.unique(owner[is_again] * 2**32 + file[row[is_again]], return_counts=True)
+    pairs = zip((pair // 2**32).tolist(), (pair % 2**32).tolist(), strict=True)
+    return result, Counter(dict(zip(pairs, count.tolist(), strict=True)))
+
+
+def tell_repeated(num_points: Counter[tuple[int, int]], paths: Sequence[Path | None]) -> None:
+    """Log how many points of files are in earlier ones, too. num_points: by the numbers of both files, the earlier
+    first."""
+    if num_points:
+        ((earlier, later), most), total = num_points.most_common(1)[0], num_points.total()
+        names = f"{most:,} points of {paths[later]} are in {paths[earlier]}, too"
+        others = f", and {total - most:,} of others" if total > most else ""
+        log.info("note: %s%s: used once", names, others)
 
 
 def read_in_chunks(
@@ -167,7 +236,7 @@ def read_in_chunks(
     for path in paths:
         with reading(path, KIND):
             for header, points in _chunks(path, bounds):
-                yield _cloud(points, header, bounds, classes, crs)
+                yield replace(_cloud(points, header, bounds, classes, crs), path=Path(path))
 
 
 def extent(headers: Sequence[CloudHeader]) -> Bounds | None:

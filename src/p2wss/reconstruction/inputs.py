@@ -169,9 +169,15 @@ def _metric(
     return metric_crs(source, bounds, str(headers[0].path), UNITS_M.get(unit))
 
 
-def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: ClassSet = LAS) -> Cloud:
-    """All points, in the CRS of the clouds. The arguments are those that :func:`open_clouds` returns."""
-    return points or reading.read_clouds([header.path for header in headers], None, classes)
+def read_cloud(
+    headers: Sequence[CloudHeader], points: Cloud | None, metric: MetricCrs | None, classes: ClassSet = LAS
+) -> Cloud:
+    """All points, in the CRS of the run; None leaves them in that of the clouds. headers, points: as
+    :func:`open_clouds` returns them."""
+    if points is None:
+        chunks = reading.read_in_chunks([each.path for each in headers], None, classes)
+        return reading.joined(chunks if metric is None else (each.in_metres(metric) for each in chunks))
+    return points if metric is None else points.in_metres(metric)
 
 
 def read_cloud_of(
@@ -192,20 +198,19 @@ def read_cloud_of(
     header = reading.common_header(headers) or headers[0]
     for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
         log.warning("warning: %s: %s", header.path, doubt)
-    cloud = read_cloud(headers, points)
     if header.crs is None and crs is None and scene is None:
-        return cloud, None
+        return read_cloud(headers, points, None), None
     source, note = common_crs(header.crs, scene, crs, (str(header.path), name), header.bounds)
     metric, note_of_units = _metric(source, headers, points, height_unit)
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)
     if scene is None:
-        return cloud.in_metres(metric), None
+        return read_cloud(headers, points, metric), None
     of_scene, _ = metric_crs(scene, bounds, name)
     if metric.horizontal_m is None and not same_crs(metric.crs, of_scene.crs):
         metric = replace(metric, crs=of_scene.crs)  # another zone than the clouds alone would be in
     check_crs(metric.crs, of_scene.crs, header.path, f"{name} is", "reproject one of them")
-    return cloud.in_metres(metric), None if of_scene.is_source else of_scene
+    return read_cloud(headers, points, metric), None if of_scene.is_source else of_scene
 
 
 def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
@@ -214,8 +219,10 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     from p2wss.reconstruction.points import unclassified
     from p2wss.reconstruction.tracing.outlines import outline_features
 
-    cloud = read_cloud(inputs.headers, inputs.points, class_set(**config.region.classes.model_dump()))
-    cloud, warnings = unclassified.with_classes(cloud.in_metres(inputs.metric))
+    classes = class_set(**config.region.classes.model_dump())
+    cloud, warnings = unclassified.with_classes(
+        read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
+    )
     for warning in warnings:
         log.warning("warning: %s", warning)
     return cloud, outline_features(cloud, config.reconstruct.outlines, inputs.crs)

@@ -56,6 +56,7 @@ def look(inputs: Inputs, config: Config) -> tuple[dict[str, Any], str]:
             for chunk in inputs.chunks(points.bounds, class_set(**config.region.classes.model_dump())):
                 points.append(chunk)
                 counts += np.bincount(chunk.classification, minlength=256)
+            points.drop_repeated()
         for warning in unclassified.warnings(*area.missing_classes(points)):
             log.warning("warning: %s", warning)
         sampled = features.take(is_sampled)

@@ -529,6 +529,7 @@ def _reconstruct(
                 raise InputError(_no_overlap(len(features), inputs))
             for chunk in inputs.chunks(points.bounds, class_set(**config.region.classes.model_dump())):
                 points.append(chunk)
+            points.drop_repeated()
             for warning in unclassified.warnings(*area.missing_classes(points)):
                 log.warning("warning: %s", warning)
         else:

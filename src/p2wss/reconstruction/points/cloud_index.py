@@ -7,6 +7,7 @@ same whatever else is in the index, as long as it covers the surroundings (:meth
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pyproj
 
-from p2wss.clouds.reading import Cloud
+from p2wss.clouds.reading import Cloud, repeated, tell_repeated
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES, has_class
 from p2wss.reconstruction.points.unclassified import with_classes
 from p2wss.storage.temporary import Closeable, Scratch
@@ -33,6 +34,7 @@ _RECORD = np.dtype(
     ]
 )
 _COLUMNS = ("x_m", "y_m", "z_m", "day", "classification")
+_LAST_BITS_M = 1e-6
 # points that are sorted together
 _CHUNK = 500_000
 # points of which there are numbers per cell: all, and those of a class
@@ -56,9 +58,10 @@ class CloudIndex(Closeable):
         around = _cells_around(self._square)
         self._around = _positions(self._key, around.ravel()).reshape(around.shape)
         self._count = np.zeros((len(_COUNTED), len(self._key)), np.int64)
-        self._cell: list[np.ndarray] = []
-        self._runs: list[np.ndarray] = []
-        self._num_read = 0
+        # of points of one cell and file: their cell, first and last place in the scratch file, and their file
+        self._runs = [np.zeros((0, 4), np.int64)]
+        self._paths: list[Path | None] = []
+        self._num_read = self._num_written = 0
         self._scratch = Scratch(folder, f"points, {BYTES_PER_POINT} bytes each")
 
     def close(self) -> None:
@@ -77,6 +80,8 @@ class CloudIndex(Closeable):
     def append(self, cloud: Cloud) -> None:
         """Add a chunk; points outside the cells are dropped."""
         self.crs = self.crs or cloud.crs
+        if not self._paths or cloud.path != self._paths[-1]:
+            self._paths.append(cloud.path)
         self.has_plants |= bool(has_class(cloud.classification, PLANT_CLASSES).any())
         for first in range(0, len(cloud), _CHUNK):
             self._append(cloud, slice(first, min(first + _CHUNK, len(cloud))))
@@ -85,7 +90,7 @@ class CloudIndex(Closeable):
         number = self._num_read + np.arange(chunk.stop - chunk.start)
         self._num_read += len(number)
         x_m, y_m = cloud.x_m[chunk], cloud.y_m[chunk]
-        cell = _positions(self._key, _key(np.floor(y_m / CELL_M), np.floor(x_m / CELL_M)))
+        cell = _positions(self._key, _key_of(x_m, y_m))
         rows = np.flatnonzero(cell >= 0)
         rows = rows[np.argsort(cell[rows], kind="stable")]
         if not len(rows):
@@ -101,11 +106,39 @@ class CloudIndex(Closeable):
             chosen = slice(None) if number_of_class is None else classes == number_of_class
             self._count[k] += np.bincount(cell[chosen], minlength=len(self._key))
         starts = np.flatnonzero(np.diff(cell, prepend=-1))
-        self._cell.append(cell[starts])
-        ends = np.append(starts[1:], len(cell))
-        self._runs.append(np.column_stack([starts, ends]) + self.num_points)
         self.num_points += len(rows)
+        self._write(records, cell[starts], starts, len(self._paths) - 1)
+
+    def _write(self, records: np.ndarray, cell: np.ndarray, starts: np.ndarray, file: int) -> None:
+        ends = np.append(starts[1:], len(records))
+        places = np.column_stack([starts, ends]) + self._num_written
+        self._runs.append(np.column_stack([cell, places, np.full(len(cell), file)]))
+        self._num_written += len(records)
         self._scratch.append(records.view(np.uint8).data)
+
+    def drop_repeated(self) -> None:
+        """Keep points of several files once, and tell how many (:func:`p2wss.clouds.reading.repeated`); after the last
+        of :meth:`append`."""
+        runs = np.concatenate(self._runs)
+        runs = runs[np.argsort(runs[:, 0], kind="stable")]
+        self._runs, told = self._runs[:1], Counter[tuple[int, int]]()
+        for own in np.split(runs, np.flatnonzero(np.diff(runs[:, 0])) + 1):
+            self._runs.append(own)
+            if len(own) == 0 or own[0, 3] == own[-1, 3]:
+                continue
+            records, cell = self._records(own), own[:1, 0]
+            file = np.repeat(own[:, 3], own[:, 2] - own[:, 1])
+            again, num_points = repeated(records["x_m"], records["y_m"], records["z_m"], file)
+            if again.any():
+                told += num_points
+                self._runs.pop()
+                self._write(records[~again], cell, np.zeros(1, np.int64), -1)
+                self.num_points -= int(again.sum())
+                classes = records["classification"][again]
+                for k, number in enumerate(_COUNTED):
+                    self._count[k, cell] -= len(classes) if number is None else (classes == number).sum()
+        self._runs = [np.concatenate(self._runs)]
+        tell_repeated(told, self._paths)
 
     def near(self, boxes: np.ndarray, adds_classes: bool = True) -> Cloud:
         """The points in all cells that boxes (n, 4) touch, cell by cell in the order in which they were added, with
@@ -126,7 +159,7 @@ class CloudIndex(Closeable):
         for k in square[~has_all].tolist():
             around, number_around = self._read(self._around[k])
             around, _ = with_classes(around)
-            key = _key(np.floor(around.y_m / CELL_M), np.floor(around.x_m / CELL_M))
+            key = _key_of(around.x_m, around.y_m)
             inside = _square(key) == self._square[k]
             place = _positions(ascending, number_around[inside])
             classes[order[place[place >= 0]]] = around.classification[inside][place >= 0]
@@ -144,7 +177,7 @@ class CloudIndex(Closeable):
         """
         result = np.zeros(len(x_m), bool)
         known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
-        key = _key(np.floor(y_m[known] / CELL_M), np.floor(x_m[known] / CELL_M))
+        key = _key_of(x_m[known], y_m[known])
         square = _positions(self._square, _square(key))
         result[known[square >= 0]] = self._has(square[square >= 0], classification)
         return result
@@ -156,22 +189,30 @@ class CloudIndex(Closeable):
 
     def _read(self, cells: np.ndarray) -> tuple[Cloud, np.ndarray]:
         """The points of cells and their numbers, cell by cell in the order in which they were added."""
-        of_run = np.concatenate([np.zeros(0, np.int64), *self._cell])
-        row = np.flatnonzero(np.isin(of_run, cells))
-        row = row[np.argsort(of_run[row], kind="stable")]
-        runs = np.concatenate([np.zeros((0, 2), np.int64), *self._runs])[row]
-        records = np.empty(int(np.diff(runs).sum()), _RECORD)
-        place = np.cumsum(np.append(0, np.diff(runs))).tolist()
-        for (start, end), (low, high) in zip(runs.tolist(), pairwise(place), strict=True):
-            content = self._scratch.read(start * BYTES_PER_POINT, (end - start) * BYTES_PER_POINT)
-            records[low:high] = np.frombuffer(content, _RECORD)
+        runs = np.concatenate(self._runs)
+        runs = runs[np.isin(runs[:, 0], cells)]
+        records = self._records(runs[np.argsort(runs[:, 0], kind="stable")])
         columns = {name: np.ascontiguousarray(records[name]) for name in _COLUMNS}
-        return Cloud(**columns, crs=self.crs), records["number"]
+        return Cloud(**columns, crs=self.crs, path=None), records["number"]
+
+    def _records(self, runs: np.ndarray) -> np.ndarray:
+        size = runs[:, 2] - runs[:, 1]
+        records = np.empty(int(size.sum()), _RECORD)
+        place = np.cumsum(np.append(0, size)).tolist()
+        for start, num, (low, high) in zip(runs[:, 1].tolist(), size.tolist(), pairwise(place), strict=True):
+            content = self._scratch.read(start * BYTES_PER_POINT, num * BYTES_PER_POINT)
+            records[low:high] = np.frombuffer(content, _RECORD)
+        return records
 
 
 def _key(row: np.ndarray, column: np.ndarray) -> np.ndarray:
     """The number of cells or squares by their rows and columns, int64."""
     return np.asarray(row).astype(np.int64) * 2**32 + np.asarray(column).astype(np.int64) + 2**31
+
+
+def _key_of(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+    """The cell of each point; that of a point of two files whose coordinates differ in their last bits is the same."""
+    return _key(*(np.floor((values + _LAST_BITS_M) / CELL_M) for values in (y_m, x_m)))
 
 
 def _row_and_column(key: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
