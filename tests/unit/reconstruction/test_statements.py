@@ -14,6 +14,7 @@ import shapely
 from places import SHARED
 
 import p2wss
+from p2wss.reconstruction.points import plausibility
 from p2wss.storage.errors import InputError
 
 CASES = SHARED / "data" / "cases"
@@ -204,6 +205,19 @@ def test_terrain_of_another_height_system_is_named(tmp_path: Path) -> None:
         built(cloud, houses.footprints(), terrain=terrain)
 
 
+@pytest.mark.parametrize(("offset_m", "factor", "is_of_ellipsoid"), [(43, 1, True), (0, 100, False)])
+def test_a_terrain_above_the_ellipsoid_at_the_sea_is_not_of_another_unit_alone(
+    offset_m: float, factor: float, is_of_ellipsoid: bool
+) -> None:
+    """Its heights by a hundred are as near to ground of 0 to 2 m as centimetres would be."""
+    ground_m = np.linspace(0, 2, 9)
+    unknown = np.full(9, np.nan)
+    sample = plausibility.Sample(ground_m, unknown, unknown, unknown, ground_m * factor + offset_m, unknown)
+    with pytest.raises(InputError, match=r"as if they were in cm; .*state --terrain-unit cm") as error:
+        plausibility.check_terrain(sample, "dtm.tif")
+    assert ("as the ellipsoid is from the sea, or" in str(error.value)) == is_of_ellipsoid
+
+
 def test_unstated_feet_are_named_where_footprints_state_heights(tmp_path: Path) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=FOOT)
     known = houses.footprints(UTM, height=[8.36, 6.0])
@@ -231,7 +245,39 @@ def test_stated_feet_are_doubted_where_houses_are_low(
 ) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", UTM, stated=houses.header(keys={3072: 26910, 4099: 9002}))
     built(cloud, houses.footprints(UTM))
-    assert "houses are 2.0 m high, as if heights were in m; state reconstruct.height_unit m" in caplog.text
+    assert "houses are 1.96 m high, as if heights were in m; state reconstruct.height_unit m" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("true_m", "stated", "words"),
+    [
+        (
+            1.0,
+            "cm",
+            "houses are 0.06 m high, as if heights were in m; state reconstruct.height_unit m instead of cm",
+        ),
+        (
+            0.01,
+            "m",
+            "times as high as wide, as if heights were in cm; state reconstruct.height_unit cm instead of m",
+        ),
+        (
+            0.01,
+            "",
+            "as if heights were in cm; state reconstruct.height_unit cm, or reconstruct.height_unit m if",
+        ),
+        (0.01, "cm", ""),
+        (1.0, "m", ""),
+        (1.0, "ft", ""),
+    ],
+)
+def test_a_unit_that_makes_odd_houses_is_doubted_even_if_the_user_states_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, true_m: float, stated: str, words: str
+) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=true_m)
+    built(cloud, houses.footprints(UTM), config={"reconstruct": {"height_unit": stated}})
+    told = [each.getMessage() for each in caplog.records if each.levelname == "WARNING"]
+    assert words in "".join(told) and len(told) == bool(words)
 
 
 def test_a_terrain_of_stated_unit_that_is_far_from_the_points_is_doubted(

@@ -11,7 +11,7 @@ from p2wss.clouds.crops import crop_cloud
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.data.points import stride
-from p2wss.data.terrain import Terrain
+from p2wss.data.terrain import UNITS_M, Terrain
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.storage.errors import InputError
@@ -39,10 +39,13 @@ _FACTORS = {
 _LEFT_SHARE, _LEFT_M = 0.02, 2.0
 # heights of points by stated ones, if the former are in feet: a stated height is of the eave or of the ridge
 _FEET_RATIO = (2.4, 4.4)
-# houses of which the median is higher, and so many times as high as they are wide, are drawn in feet
-_SLENDER, _HIGH_M = 1.6, 12.0
-# houses of which the median is lower, by heights in feet, are drawn in metres
-_LOW_M = 2.3
+# medians of houses that are higher, and so many times as high as they are wide, and those that are lower, tell that
+# heights are in another unit: where the user does not state it, and where they do
+_HIGH_M, _SLENDER, _LOW_M = (12.0, 40.0), (1.8, 4.0), (2.3, 1.0)
+# the unit that is guessed makes the median of houses as near to this, by a factor, as any does
+_UNITS, _USUAL_M = ("m", "ft", "dm", "cm", "mm"), 6.0
+# so far, at most, is the ellipsoid from the sea
+_MAX_UNDULATION_M = 110.0
 
 
 @dataclass(frozen=True)
@@ -107,14 +110,12 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
             if not terrain_unit:
                 raise
             log.warning("warning: %s", str(error).split(";")[0])
-    if not height_unit:
-        is_stated = vertical_part(inputs.metric.source) is not None
-        text = feet_instead_of_metres(sample, inputs.metric.vertical_m)
-        doubt = f"{inputs.headers[0].path}: {text}" if text else ""
-        if doubt and not is_stated and text.startswith("roofs"):
-            raise InputError(doubt)
-        if doubt:
-            log.warning("warning: %s", doubt)
+    vertical_m, is_stated = inputs.metric.vertical_m, vertical_part(inputs.metric.source) is not None
+    text = "" if height_unit else feet_instead_of_metres(sample, vertical_m)
+    if text and not is_stated:
+        raise InputError(f"{inputs.headers[0].path}: {text}")
+    if text := text or odd_houses(sample, vertical_m, height_unit):
+        log.warning("warning: %s: %s", inputs.headers[0].path, text)
 
 
 def check_terrain(sample: Sample, name: str) -> None:
@@ -131,6 +132,10 @@ def check_terrain(sample: Sample, name: str) -> None:
             guess = f"as if they were in {unit}" if unit else f"as if they had to be multiplied by {factor:g}"
             remedy = f"state --terrain-unit {unit}" if unit else "correct it"
             other = "" if unit == "m" else ", or --terrain-unit m to take it as it is"
+            is_even = np.median(np.abs(gap_m - np.median(gap_m))) < _LEFT_M / 2
+            if is_even and abs(np.median(gap_m)) < _MAX_UNDULATION_M:
+                guess = f"as the ellipsoid is from the sea, or {guess}"
+                remedy = f"convert it to the height system of the points, or {remedy}"
             raise InputError(f"{where}, {guess}; {remedy}{other}")
     raise InputError(
         f"{where}: are both in the same height system? correct it, or state --terrain-unit m to take it as it is"
@@ -138,13 +143,13 @@ def check_terrain(sample: Sample, name: str) -> None:
 
 
 def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
-    """What tells that heights of points that were taken for metres are in feet, or the other way round; else ""."""
+    """What tells by stated heights that those of points, taken for metres, are in feet, or the other way round; else
+    ""."""
     is_feet = abs(vertical_m - 0.3048) < 1e-3
     ratio = sample.height_m / sample.stated_height_m
     ratio = ratio[np.isfinite(ratio) & (sample.stated_height_m > 2.0) & (sample.height_m > 1.0)]
     low, high = (1 / _FEET_RATIO[1], 1 / _FEET_RATIO[0]) if is_feet else _FEET_RATIO
     unit, other = ("m", "ft") if is_feet else ("ft", "m")
-    remedy = f"state --height-unit {unit}, or --height-unit {other} if they are right"
     if (
         len(ratio) > 1
         and low < np.median(ratio) < high
@@ -152,20 +157,31 @@ def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
     ):
         return (
             f"roofs are {np.median(ratio):.2f} times as high as their footprints state, as if heights were in {unit};"
-            f" {remedy}"
-        )
-    is_known = np.isfinite(sample.height_m)
-    slender = sample.height_m[is_known] / sample.width_m[is_known]
-    is_high = len(slender) > 0 and np.median(sample.height_m[is_known]) > _HIGH_M
-    if not is_feet and is_high and np.median(slender) > _SLENDER:
-        return (
-            f"houses are {np.median(slender):.1f} times as high as wide, as if heights were in ft; {remedy}"
-        )
-    if is_feet and is_known.any() and np.median(sample.height_m[is_known]) < _LOW_M:
-        return (
-            f"houses are {np.median(sample.height_m[is_known]):.1f} m high, as if heights were in m; {remedy}"
+            f" state --height-unit {unit}, or --height-unit {other} if they are right"
         )
     return ""
+
+
+def odd_houses(sample: Sample, vertical_m: float, stated: str) -> str:
+    """What tells by the shape of houses that heights are not in the unit of this length; else "". stated: that unit, if
+    the user states it."""
+    is_known = np.isfinite(sample.height_m)
+    if not is_known.any():
+        return ""
+    height_m = float(np.median(sample.height_m[is_known]))
+    slender = float(np.median(sample.height_m[is_known] / sample.width_m[is_known]))
+    k = int(bool(stated))
+    if vertical_m > 0.99 and height_m > _HIGH_M[k] and slender > _SLENDER[k]:
+        text = f"houses are {slender:.1f} times as high as wide"
+    elif vertical_m < 0.99 and height_m < _LOW_M[k]:
+        text = f"houses are {height_m:.2f} m high"
+    else:
+        return ""
+    in_units = max(height_m, 1e-3) / vertical_m
+    unit = min(_UNITS, key=lambda each: abs(np.log(in_units * UNITS_M[each] / _USUAL_M)))
+    own = min(_UNITS, key=lambda each: abs(UNITS_M[each] - vertical_m))
+    remedy = f" instead of {stated}" if stated else f", or --height-unit {own} if they are right"
+    return f"{text}, as if heights were in {unit}; state --height-unit {unit}{remedy}"
 
 
 def summary(sample: Sample) -> str:
