@@ -92,7 +92,7 @@ def arrows() -> dict[str, set[str]]:
     }
     del rooms["__init__"], rooms["__main__"]
     files = [(room_of(path), path) for path in PACKAGE.rglob("*.py")]
-    files += [("benchmarks", path) for path in (ROOT / "benchmarks").glob("*.py")]
+    files += [("benchmarks", path) for path in (ROOT / "benchmarks").rglob("*.py")]
     files += [("workflow", path) for path in (ROOT / "Snakefile", *(ROOT / "workflow").rglob("*.smk"))]
     for room, path in files:
         if room in rooms:

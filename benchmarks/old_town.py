@@ -4,7 +4,7 @@
 
 Needs no data.
 
-Draws the town (``p2wss towns --kind old --lidar``), reconstructs it by ``p2wss.reconstruct`` without the network, and
+Draws the town (``benchmarks/towns.py``), reconstructs it by ``p2wss.reconstruct`` without the network, and
 compares heights on a raster with those of the true roofs. Nothing was chosen on the seed that is the default.
 
 * A *false slab* is a part of a roof less than a metre wide, along a neighbour, and a metre above the true roof over at
@@ -27,17 +27,16 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
+from drawn_towns.files import ROOFS, write_town
+from drawn_towns.old import TROUBLES, hillside_z_m
 from figures import Figures
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 import p2wss
-from p2wss.cli import main as command
-from p2wss.cli.towns import ROOFS
 from p2wss.clouds.reading import read_clouds
 from p2wss.mesh.surface import topmost
 from p2wss.towns import FOOTPRINTS, LIDAR
-from p2wss.towns.old import TROUBLES, hillside_z_m
 
 SEED = 101
 CELL_M = 0.25
@@ -132,7 +131,7 @@ def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.
 def measured(seed: int, folder: Path) -> list[dict[str, Any]]:
     """A row per building of a town."""
     if not (folder / ROOFS).exists():
-        command(["towns", "--kind", "old", "--lidar", "--seed", str(seed), "--out", str(folder)])
+        write_town(folder, seed, "old")
     truth = p2wss.read(folder / ROOFS)
     scene = p2wss.reconstruct(folder / LIDAR, folder / FOOTPRINTS, model="none", progress=False)
     scene.write(folder / "out", formats=["cityjsonseq", "gpkg"])

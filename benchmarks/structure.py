@@ -6,7 +6,7 @@
 
 Needs no data.
 
-Draws the towns of the seeds (``p2wss towns --kind KIND --lidar``), reconstructs them by ``p2wss.reconstruct`` without
+Draws the towns of the seeds (``benchmarks/towns.py``), reconstructs them by ``p2wss.reconstruct`` without
 the network, and compares the edges with the true ones, by shape of the house and by kind of edge. The definitions are
 in ``p2wss.eval.metrics.structure``: false and missing edges are further than 0.5 m from any edge of the other; an exact
 roof has less than 2 % of either. Nothing was chosen on the seeds that are the default.
@@ -24,12 +24,11 @@ from typing import Any
 import few_points
 import numpy as np
 import real
+from drawn_towns.files import ROOFS, write_town
 from figures import Figures
 from roof_edges import EDGE_KINDS, Structure, structure
 
 import p2wss
-from p2wss.cli import main as command
-from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.product import reconstruct_buildings
@@ -45,7 +44,7 @@ FEW = (80, 40, 20, 10)
 
 def drawn(seed: int, folder: Path, kind: str = "wings") -> Scene:
     """Draw a town into a folder, and read its true roofs."""
-    command(["towns", "--kind", kind, "--lidar", "--seed", str(seed), "--out", str(folder)])
+    write_town(folder, seed, kind)
     return p2wss.read(folder / ROOFS)
 
 

@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 import real
 import structure
+from drawn_towns.files import ROOFS, write_town
 from figures import Figures
 from roof_edges import structure as structure_of
 
 import p2wss
-from p2wss.cli import main as command
-from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.data.building import Building
 from p2wss.fit import fitting
@@ -45,7 +44,7 @@ VARIATIONS: dict[str, tuple[float, ...]] = {
 
 def town(seed: int, folder: Path) -> tuple[dict[str, Mesh], list[Building]]:
     """(true meshes by building, buildings with their points) of a drawn town."""
-    command(["towns", "--kind", "wings", "--lidar", "--seed", str(seed), "--out", str(folder)])
+    write_town(folder, seed, "wings")
     truth = {name: each.solid for name, each in p2wss.read(folder / ROOFS).items()}
     buildings = real.read_files(folder / FOOTPRINTS, [folder / LIDAR], "wings", Config())
     return {name: mesh for name, mesh in truth.items() if mesh is not None}, buildings

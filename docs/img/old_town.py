@@ -1,7 +1,7 @@
 """What still fails in a drawn old town: plans of the error of heights, and sections (docs/img/old_town.png).
 
-p2wss towns --kind old --lidar --seed 8 --out TOWN
-python docs/img/old_town.py TOWN docs/img/old_town.png     (needs matplotlib)
+python benchmarks/towns.py --kind old --lidar --seed 8 --out TOWN
+PYTHONPATH=benchmarks python docs/img/old_town.py TOWN docs/img/old_town.png     (needs matplotlib)
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import geopandas as gpd
 import matplotlib.pyplot as plt
 import numpy as np
 import shapely
+from drawn_towns.files import ROOFS
 
 import p2wss
-from p2wss.cli.towns import ROOFS
 from p2wss.clouds.reading import read_clouds
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost

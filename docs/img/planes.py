@@ -1,6 +1,6 @@
 """Planes of a drawn house of several bodies: its points by height, by plane, and the roof (docs/img/planes.png).
 
-p2wss towns --kind wings --lidar --seed 8 --out TOWN
+python benchmarks/towns.py --kind wings --lidar --seed 8 --out TOWN
 python docs/img/planes.py TOWN docs/img/planes.png     (needs matplotlib)
 """
 

@@ -1,6 +1,6 @@
 """Drawn houses with 20 points each, without and with the network that supposes the rest (docs/img/sparse.png).
 
-p2wss towns --kind wings --lidar --seed 101 --out TOWN
+python benchmarks/towns.py --kind wings --lidar --seed 101 --out TOWN
 PYTHONPATH=benchmarks python docs/img/sparse.py TOWN docs/img/sparse.png     (needs matplotlib)
 """
 
@@ -13,11 +13,11 @@ import few_points
 import matplotlib.pyplot as plt
 import numpy as np
 import real
+from drawn_towns.files import ROOFS
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
 import p2wss
-from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT

@@ -15,11 +15,8 @@ import shapely
 
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import write_footprints, write_terrain
-from p2wss.towns.large import LARGE_SWINGS_PER_S, draw_large
-from p2wss.towns.lidar import SWINGS_PER_S, write_lidar
-from p2wss.towns.old import draw_old
+from p2wss.towns.lidar import write_lidar
 from p2wss.towns.plan import draw_town
-from p2wss.towns.wings import draw_terraces, draw_wings
 
 __all__ = ["MINIATURE_SEED", "draw_town", "write_footprints", "write_lidar", "write_terrain", "write_town"]
 
@@ -31,26 +28,17 @@ TERRAIN = "rgealti"
 LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
 
 
-def write_town(folder: Path, seed: int, with_lidar: bool, kind: str = "streets") -> list[DrawnBuilding]:
+def write_town(folder: Path, seed: int, with_lidar: bool) -> list[DrawnBuilding]:
     """Draw the town of ``seed``, write its files into ``folder`` and return its buildings.
 
-    Footprints and terrain are the same with and without the LiDAR. kind: ``streets``, ``wings`` for houses whose
-    roofs consist of several bodies, ``terraces`` for rows of such houses (:mod:`p2wss.towns.wings`), ``old`` for tall
-    houses wall to wall (:mod:`p2wss.towns.old`), or ``large`` for buildings of many planes (:mod:`p2wss.towns.large`).
+    Footprints and terrain are the same with and without the LiDAR.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
-    draws = {
-        "streets": draw_town,
-        "wings": draw_wings,
-        "terraces": draw_terraces,
-        "old": draw_old,
-        "large": draw_large,
-    }
-    town = draws[kind](rng)
-    write_terrain(folder / TERRAIN, town[0].ground)
+    town = draw_town(rng)
+    write_terrain(folder / TERRAIN)
     write_footprints(town, folder / FOOTPRINTS, rng)
     if with_lidar:
-        write_lidar(town, folder / LIDAR, rng, LARGE_SWINGS_PER_S if kind == "large" else SWINGS_PER_S)
+        write_lidar(town, folder / LIDAR, rng)
     return town
 
 

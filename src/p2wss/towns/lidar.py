@@ -11,7 +11,6 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pyproj
-import shapely
 
 from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
@@ -19,7 +18,6 @@ from p2wss.towns.ign import DATE
 from p2wss.towns.site import (
     BUILDING_CLASS,
     CRS,
-    GROUND_CLASS,
     LIDAR_X_MIN,
     LIDAR_Y_MAX,
     UNCLASSIFIED_CLASS,
@@ -37,17 +35,28 @@ PULSES_PER_S = 270_000
 HEADINGS_DEG = (64.0, 244.0)  # two strips, there and back
 
 
-def write_lidar(
-    town: list[DrawnBuilding], path: Path, rng: np.random.Generator, swings_per_s: float = SWINGS_PER_S
-) -> None:
-    """Scan the buildings of the LiDAR tile into LAZ (LAS 1.4, point format 6), in the order of flight."""
+def write_lidar(town: list[DrawnBuilding], path: Path, rng: np.random.Generator) -> None:
+    """Scan the buildings of the LiDAR tile into LAZ."""
+    points, is_kept = scan_town(town, rng)
+    write_points(points, is_kept, path)
+
+
+def scan_town(
+    town: list[DrawnBuilding], rng: np.random.Generator, swings_per_s: float = SWINGS_PER_S
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """A survey of the buildings of the LiDAR tile: the dimensions of its points (n,) by their names in LAS, in the
+    order of flight, and whether a point is in the tile and near a building, bool (n,)."""
     buildings = [building for building in town if in_lidar_tile(building.footprint)]
     surface = Surface(buildings, rng)
     trees = draw_trees(buildings, rng)
     strips = [_scan(surface, trees, number, swings_per_s, rng) for number in range(len(HEADINGS_DEG))]
     points = {name: np.concatenate([strip[name] for strip in strips]) for name in strips[0]}
-    keep = surface.near(points["x"], points["y"]) & (points["x"] >= LIDAR_X_MIN) & (points["y"] < LIDAR_Y_MAX)
-    keep &= _recorded(buildings, points, rng)
+    is_in_tile = (points["x"] >= LIDAR_X_MIN) & (points["y"] < LIDAR_Y_MAX)
+    return points, surface.near(points["x"], points["y"]) & is_in_tile
+
+
+def write_points(points: dict[str, np.ndarray], is_kept: np.ndarray, path: Path) -> None:
+    """Write the kept points of a survey into LAZ (LAS 1.4, point format 6)."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.01] * 3, [0, 0, 0]
     header.creation_date = DATE
@@ -56,37 +65,9 @@ def write_lidar(
     header.add_crs(pyproj.CRS(CRS))
     cloud = laspy.LasData(header)
     for name, values in points.items():
-        cloud[name] = values[keep]
+        cloud[name] = values[is_kept]
     with files.atomic(path) as temporary:
         cloud.write(temporary)
-
-
-def _recorded(
-    buildings: list[DrawnBuilding], points: dict[str, np.ndarray], rng: np.random.Generator
-) -> np.ndarray:
-    """The points that the scanner records, bool (n,); those on roofs that are hard to classify get other classes."""
-    keep, classes = np.ones(len(points["x"]), bool), points["classification"]
-    areas = [
-        (wing.outline, BUILDING_CLASS, wing.seen_as, wing.seen_share)
-        for building in buildings
-        for wing in building.wings
-        if (wing.seen_as, wing.seen_share) != (BUILDING_CLASS, 1)
-    ]
-    near = [
-        each.footprint.buffer(each.hidden_ground_m).exterior.coords
-        for each in buildings
-        if each.hidden_ground_m
-    ]
-    areas += [(np.array(ring), GROUND_CLASS, UNCLASSIFIED_CLASS, 1.0) for ring in near]
-    if not areas:
-        return keep
-    tree = shapely.STRtree(np.asarray(shapely.points(points["x"], points["y"])))
-    for ring, number, seen_as, share in areas:
-        inside = tree.query(shapely.Polygon(ring), "contains")
-        inside = inside[classes[inside] == number]
-        keep[inside] = rng.random(len(inside)) < share
-        classes[inside] = seen_as
-    return keep
 
 
 def _scan(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+from drawn_towns.large import SHAPES, draw_large
+from drawn_towns.wings import true_solids
 
 from p2wss.mesh import Mesh
-from p2wss.towns.large import SHAPES, draw_large
 from p2wss.towns.site import BUILDING_CLASS, in_lidar_tile
-from p2wss.towns.wings import true_solids
 
 
 def test_large_buildings_have_closed_true_roofs_of_many_planes() -> None:

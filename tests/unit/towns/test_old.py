@@ -6,12 +6,12 @@ from collections import Counter
 
 import numpy as np
 import shapely
+from drawn_towns.files import recorded
+from drawn_towns.old import TROUBLES, draw_old, hillside_z_m
+from drawn_towns.wings import true_solids
 
-from p2wss.towns.lidar import _recorded
-from p2wss.towns.old import TROUBLES, draw_old, hillside_z_m
 from p2wss.towns.site import BUILDING_CLASS, UNCLASSIFIED_CLASS
 from p2wss.towns.surface import Surface
-from p2wss.towns.wings import true_solids
 
 
 def test_an_old_town_has_what_it_is_for() -> None:
@@ -53,6 +53,6 @@ def test_points_that_are_not_recorded_or_have_another_class() -> None:
         house.hidden_ground_m = 0.0
         xy = house.wings[0].outline.mean(axis=0) + rng.uniform(-0.5, 0.5, (1000, 2))
         points = {"x": xy[:, 0], "y": xy[:, 1], "classification": np.full(1000, BUILDING_CLASS, np.uint8)}
-        keep = _recorded([house], points, rng)
+        keep = recorded([house], points, rng)
         assert (keep.mean() < 0.1) == (kind == "few-points")
         assert (points["classification"] == UNCLASSIFIED_CLASS).all() == (kind == "unclassified")

@@ -10,13 +10,13 @@ import torch
 import toy_crops
 from completion import CompletionTask
 from completion_network import RoofCompletion
+from drawn_towns.wings import draw_wings
 from small_networks import SMALL_DVAE, SMALL_MODEL
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from p2wss.config import load
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
-from p2wss.towns.wings import draw_wings
 from p2wss.training.dataset import BuildingDataset, TrainingLimits
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.loop import Task

@@ -1,6 +1,6 @@
 """A town of large buildings, of up to some 50 planes: schools, convents, palaces, factories, churches, round buildings.
 
-They are bodies as those of :mod:`p2wss.towns.wings`. Trees grow in courts, some roofs have no class or that of trees,
+They are bodies as those of :mod:`drawn_towns.wings`. Trees grow in courts, some roofs have no class or that of trees,
 and the lines of the scanner are far apart. All sizes below are in metres and degrees.
 """
 
@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from drawn_towns.wings import body, draw_dormers, draw_groups
 from p2wss.towns.buildings import DrawnBuilding, Wing
 from p2wss.towns.site import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
-from p2wss.towns.wings import body, draw_dormers, draw_groups
 
 # half swings of the scanner: lines on the ground are 0.9 m apart
 LARGE_SWINGS_PER_S = 69.0
