@@ -55,9 +55,12 @@ def reconstructed(place: Path, *options: str, stem: str = "cloud") -> gpd.GeoDat
 
 
 def test_moved_by_default_and_kept_beside(place: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level("INFO"):
-        rows = reconstructed(place)
+    with caplog.at_level("DEBUG"):
+        rows = reconstructed(place, "--verbose")
     assert "registration: 3 of 3 footprints moved, 1." in caplog.text
+    for name, row in rows.iterrows():
+        shift = f"footprint moved by {row['shift_x_m']:+.2f}, {row['shift_y_m']:+.2f} m"
+        assert len([each for each in caplog.messages if each.startswith(f"{name}: ") and shift in each]) == 1
     for shape, true in zip(rows.geometry, TRUE, strict=True):
         assert shapely.hausdorff_distance(shape, true) < 0.1
     assert rows["shift_x_m"].to_numpy() == pytest.approx(-SHIFT[0], abs=0.1)

@@ -349,7 +349,7 @@ def test_the_log_counts_what_was_moved_and_flagged() -> None:
     frame = frame_of([*[affinity.translate(shape, 1.0, 0.0) for shape in BLOCK], gone, far])
     line = registration_summary(registered(frame, cloud_of(roofs()))[1])
     assert line.startswith("registration: 3 of 5 footprints moved, ")
-    assert line.endswith(" m; 0 in place, 2 without evidence; no-building: 1")
+    assert line.endswith(" m (columns shift_x_m, shift_y_m); 0 in place, 2 without evidence; no-building: 1")
 
 
 def test_nothing_to_register() -> None:

@@ -150,8 +150,8 @@ def register(features: Features, cloud: Cloud) -> tuple[Features, list[Registrat
 def summary(registrations: Iterable[Registration | None]) -> str:
     """One line: how many footprints were moved, and which the cloud contradicts; None counts as without evidence.
 
-    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 in place, 0 without evidence;
-    extended: 6``
+    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m (columns shift_x_m, shift_y_m); 62 in place,
+    0 without evidence; extended: 6``
     """
     length_m: list[float] = []
     flags: Counter[str] = Counter()
@@ -165,7 +165,7 @@ def summary(registrations: Iterable[Registration | None]) -> str:
                 length_m.append(float(np.hypot(*row.shift_m)))
     text = f"registration: {len(length_m)} of {num_rows} footprints moved"
     if length_m:
-        text += f", {min(length_m):.2f} to {max(length_m):.2f} m"
+        text += f", {min(length_m):.2f} to {max(length_m):.2f} m (columns shift_x_m, shift_y_m)"
     num_others = num_rows - len(length_m) - num_without
     text += f"; {num_others} in place, {num_without} without evidence"
     return text + "".join(f"; {name}: {count}" for name, count in sorted(flags.items()))
