@@ -55,7 +55,7 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], str | None]:
     solids: list[ReadSolid] = []
     with reading(path, "CityJSON"):
         for document in documents:
-            solids += _buildings(document.get("CityObjects", {}), _vertices(document, scale, translate))
+            solids += _buildings(*_content(document, documents[0], scale, translate))
         return solids, documents[0].get("metadata", {}).get("referenceSystem")
 
 
@@ -81,12 +81,12 @@ def shells(path: str | Path) -> Iterator[Shell]:
     documents, scale, translate = _documents(path)
     for document in documents:
         with reading(path, "CityJSON"):
-            in_document = list(_shells(document, _vertices(document, scale, translate)))
+            in_document = list(_shells(*_content(document, documents[0], scale, translate)))
         yield from in_document
 
 
-def _shells(document: dict[str, Any], vertex_m: np.ndarray) -> Iterator[Shell]:
-    for name, city_object in document.get("CityObjects", {}).items():
+def _shells(objects: dict[str, Any], vertex_m: np.ndarray) -> Iterator[Shell]:
+    for name, city_object in objects.items():
         for place, geometry in enumerate(city_object.get("geometry", [])):
             boundaries = geometry.get("boundaries", [])
             composite = place if geometry["type"] == "CompositeSolid" else None
@@ -127,11 +127,41 @@ def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.n
         return objects, scale, np.array(transform["translate"], float).reshape(3)
 
 
-def _vertices(document: dict[str, Any], scale: np.ndarray, translate: np.ndarray) -> np.ndarray:
-    vertex_m = np.array(document.get("vertices", []), float).reshape(-1, 3) * scale + translate
+def _content(
+    document: dict[str, Any], first: dict[str, Any], scale: np.ndarray, translate: np.ndarray
+) -> tuple[dict[str, Any], np.ndarray]:
+    """(city objects, vertices), those of templates among them as if each object had its own (CityJSON 2.0, 3.4). first:
+    the object that has the templates of a sequence."""
+    objects = document.get("CityObjects", {})
+    parts_m = [np.array(document.get("vertices", []), float).reshape(-1, 3) * scale + translate]
+    templates = first.get("geometry-templates", {"vertices-templates": [], "templates": []})
+    local = np.array(templates["vertices-templates"], float).reshape(-1, 3)
+    num_vertices = len(parts_m[0])
+    for city_object in objects.values():
+        geometries = city_object.get("geometry", [])
+        for k, instance in enumerate(geometries):
+            if instance["type"] == "GeometryInstance":
+                template = templates["templates"][instance["template"]]
+                boundaries = _shifted(template["boundaries"], num_vertices, len(local))
+                geometries[k] = template | {"boundaries": boundaries}
+                matrix = np.array(instance["transformationMatrix"], float).reshape(4, 4)
+                place_m = parts_m[0][instance["boundaries"][0]]
+                parts_m.append(local @ matrix[:3, :3].T + matrix[:3, 3] + place_m)
+                num_vertices += len(local)
+    vertex_m = np.concatenate(parts_m)
     if not np.isfinite(vertex_m).all():
         raise ValueError("a coordinate is not finite")
-    return vertex_m
+    return objects, vertex_m
+
+
+def _shifted(boundaries: Any, by: int, num_vertices: int) -> Any:
+    """Boundaries of any depth with numbers of vertices that are higher. Raises ValueError for a vertex that is not
+    there."""
+    if isinstance(boundaries, list):
+        return [_shifted(each, by, num_vertices) for each in boundaries]
+    if not 0 <= boundaries < num_vertices:
+        raise ValueError(f"a template has the vertex {boundaries} of {num_vertices} vertices")
+    return boundaries + by
 
 
 def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]:

@@ -112,3 +112,41 @@ def test_solids_of_a_composite_may_touch_but_not_overlap(
     assert validity.num_solids == 2
     expected = [] if is_valid or kind == "MultiSolid" else [["501 solids of a composite overlap"]]
     assert list(validity.invalid.values()) == expected
+
+
+@pytest.mark.parametrize("is_sequence", [False, True])
+def test_templates_are_read_where_they_are_placed(
+    city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], is_sequence: bool
+) -> None:
+    """As if each object had its own geometry: CityJSON 2.0, 3.4."""
+    document = json.loads(city.read_text(encoding="utf-8"))
+    transform = document["transform"]
+    vertices = np.array(document["vertices"]) * transform["scale"] + transform["translate"]
+    templates = [
+        geometry for each in document["CityObjects"].values() for geometry in each.get("geometry", [])
+    ]
+    place = {
+        "type": "GeometryInstance",
+        "template": 0,
+        "boundaries": [1],
+        "transformationMatrix": [2, 0, 0, 5, 0, 2, 0, 7, 0, 0, 2, 0, 0, 0, 0, 1],
+    }
+    document["CityObjects"] = {"a": {"type": "Building", "geometry": [place]}}
+    document |= {
+        "vertices": [[0, 0, 0], [3000, 2000, 0]],
+        "transform": {"scale": [0.01] * 3, "translate": [0] * 3},
+    }
+    document["geometry-templates"] = {"templates": templates[:1], "vertices-templates": vertices.tolist()}
+    path = tmp_path / "templates.city.json"
+    feature = {"type": "CityJSONFeature", "id": "a"}
+    feature |= {name: document[name] for name in ("CityObjects", "vertices")}
+    rest = document | {"CityObjects": {}, "vertices": []}
+    path.write_text(f"{json.dumps(rest)}\n{json.dumps(feature)}" if is_sequence else json.dumps(document))
+    assert cli.main(["check", str(path)]) == 0
+    placed, alone = p2wss.read(path)["a"].solid, p2wss.read(city)["a"].solid
+    assert placed is not None and alone is not None
+    assert np.allclose(placed.vertex_m[placed.triangle], 2 * alone.vertex_m[alone.triangle] + [35, 27, 0])
+    document["geometry-templates"]["vertices-templates"] = vertices[:3].tolist()
+    path.write_text(json.dumps(document))
+    assert cli.main(["check", str(path)]) == 2
+    assert "a template has the vertex" in capsys.readouterr().err
