@@ -145,6 +145,10 @@ def test_what_people_have_works() -> None:
         ),
         ({"cloud": footprints()}, "the cloud is a GeoDataFrame; .* before the footprints"),
         ({"cloud": np.full((5, 3), np.nan)}, "not finite"),
+        (
+            {"cloud": pd.DataFrame({"x": [1.0, 2], "Y": ["1", "n/a"], "z": [1, 2]})},
+            "the cloud's column Y is not of numbers: could not convert string to float: 'n/a'",
+        ),
         ({"ids": "b12"}, "has no building b12"),
         ({"bbox": (0, 0, 1)}, r"bbox: state four numbers: x_min, y_min, x_max, y_max, not \(0, 0, 1\)"),
         ({"threads": "2"}, "threads: state a whole number, at least 1, not '2'"),

@@ -288,7 +288,8 @@ def _in_memory(cloud: CloudInput) -> Cloud:
         table: Any = cloud
         named = {str(name).lower(): name for name in getattr(table, "columns", ())}
         if {"x", "y", "z"} <= named.keys():
-            table = table[[named[name] for name in ("x", "y", "z", "classification") if name in named]]
+            chosen = [named[name] for name in ("x", "y", "z", "classification") if name in named]
+            table = np.column_stack([_numbers(table[name], name) for name in chosen])
         points = np.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(
@@ -304,6 +305,14 @@ def _in_memory(cloud: CloudInput) -> Cloud:
         raise InputError("the cloud has coordinates that are not finite, or classes that are not 0 to 255")
     x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
     return Cloud(x_m, y_m, z_m, classes.astype(np.uint8), None)
+
+
+def _numbers(column: Any, name: str) -> np.ndarray:
+    """A column of the cloud. Raises :class:`InputError` if it has values that are no numbers."""
+    try:
+        return np.asarray(column, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the cloud's column {name} is not of numbers: {error}") from error
 
 
 def _check_footprints(
