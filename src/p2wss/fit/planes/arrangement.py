@@ -11,10 +11,9 @@ import shapely
 
 from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.lines import Line, edges_of, ends_of
-from p2wss.mesh.topology import first_of_faces
+from p2wss.mesh.topology import reverses
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import cross, differs, distinct, numbered, writable
+from p2wss.skeleton.types import distinct, numbered, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -78,90 +77,36 @@ def arrange(
         raise TooManyPlacesError
     place_m = place * GRID_M
     is_beside = np.any((place_m < low - GRID_M) | (place_m > high + GRID_M), axis=1)
-    drawn = ~is_beside[link].any(axis=1)
-    link, line = link[drawn], line[drawn]
-    half, ring, is_hole, of_ring, cells = _traced(place, place_m, link)
+    drawn = np.asarray(shapely.linestrings(place_m[link[~is_beside[link].any(axis=1)]]), object)
+    cells = shapely.get_parts(shapely.polygonize(drawn))
     middle = shapely.point_on_surface(cells)
-    inside = np.flatnonzero(shapely.contains(polygon, middle))
+    inside = shapely.contains(polygon, middle)
+    cells, middle = shapely.orient_polygons(cells[inside]), middle[inside]
     # in the order of their places, so that nothing depends on the order of the lines
-    middle_m = shapely.get_coordinates(middle[inside])
-    order = np.lexsort(middle_m.T)
-    position = np.full(len(cells) + 1, -1)
-    position[inside[order]] = np.arange(len(order))
-    # the last one is that of no cell
-    cell = position[of_ring][ring]
-    # counter-clockwise, and holes clockwise: the other way round, and from the end of each ring
-    rows = np.lexsort((-np.arange(len(half)), ring, is_hole[ring], cell))
-    rows = rows[np.searchsorted(cell[rows], 0) :]
-    half, cell = half[rows] ^ 1, cell[rows]
-    at = np.full(2 * len(link), -1)
-    at[half] = np.arange(len(half))
-    used, vertex = numbered(link.ravel()[np.concatenate([half, half ^ 1])])
-    start, end = vertex.reshape(2, -1)
-    back = at[half ^ 1]
+    order = np.lexsort(shapely.get_coordinates(middle).T)
+    cells, middle = cells[order], middle[order]
+    all_rings, owner = shapely.get_rings(cells, return_index=True)
+    xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
+    # places are in the order of their first and then their second coordinate; numpy is slow with rows
+    number = np.searchsorted(place @ [1, 1j], np.round(xy_m / GRID_M) @ [1, 1j])
+    used, vertex = numbered(number)
+    # the last place of a ring is its first
+    is_start = np.diff(ring_of) == 0
+    start, end, cell = vertex[:-1][is_start], vertex[1:][is_start], owner[ring_of[:-1][is_start]]
+    back = reverses(start, end)
     once = np.flatnonzero((back < 0) | (start < end))
+    side = np.column_stack([start, end])[once]
+    of_piece = np.searchsorted(link @ [len(place), 1], np.sort(used[side], axis=1) @ [len(place), 1])
     return Arrangement(
         place_m[used],
-        middle_m[order],
-        shapely.area(shapely.orient_polygons(cells[inside[order]])),
+        shapely.get_coordinates(middle),
+        shapely.area(cells),
         np.column_stack([cell, np.where(back < 0, -1, cell[back])])[once],
-        np.column_stack([start, end])[once],
-        same[line[half[once] // 2]],
+        side,
+        same[line[of_piece]],
         all_lines,
         len(own_lines),
     )
-
-
-def _traced(
-    place: np.ndarray, place_m: np.ndarray, link: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(half-edges (h,), ring after ring, along each; the ring of each; of rings, which are holes, and their cells, -1
-    for none; the cells, polygons (c,)): what the pieces ``link`` (p, 2) between places (v, 2) enclose. Half-edge 2 p
-    runs along piece p, and 2 p + 1 the other way. Cells are to the right of their rings.
-
-    GEOS, which can do the same, takes several times as long for a roof, and the numbers of places are lost.
-    """
-    number, start, (x, y) = np.arange(len(link)), link.ravel(), place[link].T
-    along = np.arctan2(y[1] - y[0], x[1] - x[0]), np.arctan2(y[0] - y[1], x[0] - x[1])
-    order = np.lexsort((np.column_stack(along).ravel(), start))
-    while True:
-        half, around = np.arange(len(start)), np.empty(len(start), np.int64)
-        # the next one around each place, counter-clockwise
-        first = np.flatnonzero(differs(start[order]))
-        around[order] = np.append(order[1:], 0)
-        around[order[np.append(first[1:], len(order)) - 1]] = order[first]
-        following = around[half ^ 1]
-        ring = groups(len(half), np.column_stack([half, following]))
-        # what has the same on both sides is no border
-        is_border = ring[::2] != ring[1::2]
-        if is_border.all():
-            break
-        is_kept = is_border.repeat(2)
-        number, start = number[is_border], start[is_kept]
-        order = (np.cumsum(is_kept) - 1)[order[is_kept[order]]]
-    following_of, walk = following.tolist(), list[int]()
-    for first in first_of_faces(ring).tolist():
-        walk.append(first)
-        while (onward := following_of[walk[-1]]) != first:
-            walk.append(onward)
-    half = np.array(walk, int)
-    ring, xy_m = ring[half], place_m[start[half]]
-    turn = np.bincount(ring, cross(place[start[half]], place[start[half ^ 1]]))
-    is_hole, of_ring = turn > 0, np.full(len(turn), -1)
-    of_ring[~is_hole] = np.arange(np.count_nonzero(~is_hole))
-    rings = np.asarray(shapely.linearrings(xy_m, indices=ring), object)
-    shells = np.asarray(shapely.polygons(rings[~is_hole]), object)
-    # the largest is around all, and in no cell
-    for hole in np.flatnonzero(is_hole & (turn < turn.max())).tolist():
-        around = np.flatnonzero(shapely.contains_xy(shells, *xy_m[np.searchsorted(ring, hole)]))
-        if len(around):
-            of_ring[hole] = around[shapely.area(shells[around]).argmin()]
-    cells = shells.copy()
-    for cell in np.unique(of_ring[is_hole & (of_ring >= 0)]).tolist():
-        own = rings[of_ring == cell]
-        shell = is_hole[of_ring == cell].argmin()
-        cells[cell] = shapely.polygons(own[shell], np.delete(own, shell))
-    return 2 * number[half // 2] + half % 2, ring, is_hole, of_ring, cells
 
 
 def _pieces(end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
