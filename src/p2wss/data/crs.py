@@ -209,6 +209,26 @@ def metric_crs(
     return MetricCrs(source, crs, horizontal_m, vertical_m), note
 
 
+def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
+    """What may be wrong with coordinates that are outside of the area of use of their projection, if they would be
+    inside without it; else ""."""
+    x, y = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
+    if not crs.is_projected or is_plausible(crs, (x, y)):
+        return ""
+    own_m = horizontal(crs).axis_info[0].unit_conversion_factor
+    wrong = {"x and y were swapped": (y, x)}
+    for unit, length_m in {"mm": 0.001, "cm": 0.01, "ft": 0.3048, "m": 1.0}.items():
+        wrong[f"x and y were in {unit}"] = x * length_m / own_m, y * length_m / own_m
+    for text, place in wrong.items():
+        # the origin is inside of some areas
+        if np.abs(place).max() > _LOCAL and is_plausible(crs, place):
+            return (
+                f"is outside of the area of {crs.name}, and would be inside if {text}; correct its coordinates, or"
+                " state its CRS with --crs"
+            )
+    return ""
+
+
 def parsed_crs(stated: str, where: str) -> pyproj.CRS:
     """The CRS that a user states. where: for the :class:`InputError` that there is no such CRS."""
     try:

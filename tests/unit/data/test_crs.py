@@ -14,7 +14,7 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.crs import MetricCrs, common_crs, metric_crs, reprojected
+from p2wss.data.crs import MetricCrs, common_crs, metric_crs, odd_place, reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.storage.errors import InputError
 
@@ -236,3 +236,24 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
     assert list(after["stated_height_m"].fillna(-1)) == list(before["stated_height_m"].fillna(-1))
     first, second = (shapely.get_coordinates(frame.geometry.to_numpy()) for frame in (before, after))
     assert np.abs(first - second).max() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("epsg", "x", "y", "words"),
+    [
+        (28992, 85_000, 447_000, ""),
+        (28992, 85_000_000, 447_000_000, "x and y were in mm"),
+        (25832, 5_772_000, 500_000, "x and y were swapped"),
+        (31467, 5_530_000, 3_450_000, "x and y were swapped"),
+        (31467, 3_450_000, 5_530_000, ""),
+        (2263, 300_000, 60_000, "x and y were in m;"),
+        (32118, 984_250, 196_850, "x and y were in ft"),
+        # around an origin of its own, and where no such fault explains it
+        (25832, 50, 80, ""),
+        (2180, -501_000, 562_000, ""),
+        (4326, 52.0, 4.36, ""),
+    ],
+)
+def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y: float, words: str) -> None:
+    doubt = odd_place(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
+    assert words in doubt and bool(doubt) == bool(words)

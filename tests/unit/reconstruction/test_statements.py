@@ -248,6 +248,14 @@ def test_stated_feet_are_doubted_where_houses_are_low(
     assert "houses are 1.96 m high, as if heights were in m; state reconstruct.height_unit m" in caplog.text
 
 
+@pytest.mark.parametrize(("unit_m", "height_m"), [(1e9, "0.00"), (-1.0, "-6.")])
+def test_points_without_heights_and_depths_are_doubted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, unit_m: float, height_m: str
+) -> None:
+    built(houses.write_cloud(tmp_path / "c.laz", height_unit_m=unit_m), houses.footprints())
+    assert f"houses are {height_m}" in caplog.text and "are z of the points heights" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("true_m", "stated", "words"),
     [

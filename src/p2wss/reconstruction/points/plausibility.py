@@ -42,6 +42,8 @@ _FEET_RATIO = (2.4, 4.4)
 # medians of houses that are higher, and so many times as high as they are wide, and those that are lower, tell that
 # heights are in another unit: where the user does not state it, and where they do
 _HIGH_M, _SLENDER, _LOW_M = (12.0, 40.0), (1.8, 4.0), (2.3, 1.0)
+# a median of houses that is lower, by heights in metres, tells that these are no heights, or of the ground alone
+_FLAT_M = 0.5
 # the unit that is guessed makes the median of houses as near to this, by a factor, as any does
 _UNITS, _USUAL_M = ("m", "ft", "dm", "cm", "mm"), 6.0
 # so far, at most, is the ellipsoid from the sea
@@ -171,6 +173,10 @@ def odd_houses(sample: Sample, vertical_m: float, stated: str) -> str:
     height_m = float(np.median(sample.height_m[is_known]))
     slender = float(np.median(sample.height_m[is_known] / sample.width_m[is_known]))
     k = int(bool(stated))
+    if vertical_m > 0.99 and height_m < _FLAT_M:
+        return (
+            f"houses are {height_m:.2f} m high; are z of the points heights, and are there points of roofs?"
+        )
     if vertical_m > 0.99 and height_m > _HIGH_M[k] and slender > _SLENDER[k]:
         text = f"houses are {slender:.1f} times as high as wide"
     elif vertical_m < 0.99 and height_m < _LOW_M[k]:
