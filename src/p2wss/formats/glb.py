@@ -84,18 +84,14 @@ class Binary:
 
     def append(self, values: np.ndarray, target: int, **accessor: Any) -> int:
         """The number of the accessor. Elements have four bytes, so that every array is aligned."""
-        view = self.append_view(values.tobytes(), target=target)
-        self.accessors.append({"bufferView": view, "count": len(values), **accessor})
-        return len(self.accessors) - 1
-
-    def append_view(self, content: bytes, alignment: int = 4, **view: Any) -> int:
-        """The number of the buffer view, which begins at a multiple of ``alignment`` bytes."""
-        gap = -self.length % alignment
-        self.pieces += [bytes(gap), content]
-        self.length += gap
-        self.views.append({"buffer": 0, "byteOffset": self.length, "byteLength": len(content), **view})
+        content = values.tobytes()
+        self.views.append(
+            {"buffer": 0, "byteOffset": self.length, "byteLength": len(content), "target": target}
+        )
+        self.accessors.append({"bufferView": len(self.views) - 1, "count": len(values), **accessor})
+        self.pieces.append(content)
         self.length += len(content)
-        return len(self.views) - 1
+        return len(self.accessors) - 1
 
 
 def _primitives(body: Body, frame: Frame, names: Sequence[str], binary: Binary) -> list[dict[str, Any]]:

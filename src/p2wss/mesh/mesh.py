@@ -124,7 +124,7 @@ class Mesh:
     @cached_property
     def area_m2(self) -> np.ndarray:
         """(t,), of the triangles."""
-        return topology.lengths(self.doubled_m2) / 2
+        return np.linalg.norm(self.doubled_m2, axis=1) / 2
 
     @cached_property
     def volume_m3(self) -> float:
@@ -176,7 +176,7 @@ class Mesh:
     @cached_property
     def edge_m(self) -> np.ndarray:
         """(t, 3), the lengths of the sides of the triangles."""
-        return topology.lengths(self.corner_m - self.corner_m.take(NEXT, 1))
+        return np.linalg.norm(self.corner_m - self.corner_m.take(NEXT, 1), axis=2)
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Planes:
         kind = np.zeros(len(normal), np.uint8)
         kind[number] = mesh.kind
         normal[kind == _WALL, 2] = 0.0
-        twice_m2 = topology.lengths(normal)
+        twice_m2 = np.linalg.norm(normal, axis=1)
         normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         return cls(kind, normal, twice_m2 / 2)
 

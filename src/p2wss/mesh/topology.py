@@ -42,15 +42,10 @@ def crossed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.asarray((one * other.take(NEXT, 1) - one.take(NEXT, 1) * other).take(NEXT, 1))
 
 
-def lengths(vector: np.ndarray) -> np.ndarray:
-    """The lengths of vectors, which are along the last axis: those of numpy's function, sooner for a few."""
-    return np.asarray(np.sqrt((vector * vector).sum(axis=-1)))
-
-
 def unit_normals(corner_m: np.ndarray) -> np.ndarray:
     """(t, 3), the unit normals of triangles (t, 3, 3)."""
     normal = doubled_areas(corner_m)
-    return normal / np.maximum(lengths(normal), 1e-300)[:, None]
+    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
 
 
 def doubled_plan_areas(corner_m: np.ndarray) -> np.ndarray:

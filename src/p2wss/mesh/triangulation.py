@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
-from p2wss.mesh.topology import crossed, doubled_plan_areas, lengths
+from p2wss.mesh.topology import crossed, doubled_plan_areas
 
 
 def triangulated(
@@ -40,7 +40,7 @@ def triangulated_in_space(
     corner, ring = np.concatenate(rings), np.repeat(np.arange(len(rings)), list(map(len, rings)))
     across = crossed(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
     # a face without area has no normal, and its corners are in one place, which is no polygon
-    across /= np.maximum(lengths(across), 1e-300)[:, None]
+    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
     axes = np.stack([across, crossed(normal, across)], axis=1)[face_of_ring[ring]]
     place_m = (axes @ (point_m[corner] - point_m[0])[..., None])[..., 0]
     return triangulated(place_m, corner, ring, face_of_ring)

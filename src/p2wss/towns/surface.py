@@ -27,16 +27,15 @@ class Surface:
         x, y = np.meshgrid(self.x_min + CELL_M * np.arange(columns), self.y_min + CELL_M * np.arange(rows))
         self.z = buildings[0].ground(x, y)
         self.kind = np.full(self.z.shape, GROUND_CLASS, np.uint8)
-        shafts = []
-        for building in buildings:
-            floor = building.floor_m
-            for wing in [*building.wings, *draw_details(building, rng)] if building.kind != "gone" else []:
-                if wing.detail == "shaft":
-                    shafts.append((wing, floor))
-                else:
-                    self._raise(wing, floor)
-        for wing, floor in shafts:
-            self._raise(wing, floor)
+        wings = [
+            (wing, building.floor_m)
+            for building in buildings
+            if building.kind != "gone"
+            for wing in [*building.wings, *draw_details(building, rng)]
+        ]
+        # shafts are open above: after all roofs
+        for wing, floor_m in sorted(wings, key=lambda pair: pair[0].detail == "shaft"):
+            self._raise(wing, floor_m)
         coarse = max(1, round(0.5 / CELL_M))
         near = shapely.union_all([outline.buffer(AROUND_M) for outline in outlines])
         shapely.prepare(near)

@@ -72,15 +72,16 @@ def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) ->
 
     def apart(block: Mapping[str, Mesh], trace: str) -> list[Skin]:
         note(f"skin of the block of {min(block)}", trace, "its buildings stay apart")
-        return unjoined({name: mesh.translated(origin) for name, mesh in block.items()}, "internal error")
+        return unjoined({name: mesh.translated(origin) for name, mesh in block.items()})
 
     return surviving(lambda some: [skin for block in some for skin in _joined(block, origin)], blocks, apart)
 
 
-def unjoined(solids: Mapping[str, Mesh], failure: str) -> list[Skin]:
-    """A skin for each building, which is its mesh."""
+def unjoined(solids: Mapping[str, Mesh]) -> list[Skin]:
+    """A skin for each building, which is its mesh, after an internal error."""
     return [
-        Skin((name,), mesh, np.zeros(len(mesh.triangle), np.int32), failure) for name, mesh in solids.items()
+        Skin((name,), mesh, np.zeros(len(mesh.triangle), np.int32), "internal error")
+        for name, mesh in solids.items()
     ]
 
 

@@ -27,7 +27,7 @@ def joined(buildings: Sequence[Body], max_lowering_m: float = MAX_LOWERING_M) ->
 
     def none(solids: dict[str, Mesh], trace: str) -> list[Skin]:
         note("skins", trace, "all buildings stay apart")
-        return unjoined(solids, "internal error")
+        return unjoined(solids)
 
     result = surviving(lambda some: skins(some[0], max_lowering_m), [solids], none)
     apart = [skin for skin in result if skin.failure is not None]

@@ -39,18 +39,18 @@ class _Step:
     buildings: tuple[int, int]
 
 
-def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) -> list[Mesh]:
-    """Solids that touch, without those steps of less than ``max_step_m`` between their roofs, and between their inner
+def with_common_roofs(solids: Sequence[Mesh]) -> list[Mesh]:
+    """Solids that touch, without those low steps (:data:`MAX_STEP_M`) between their roofs, and between their inner
     walls, that vanish if planes move so that they meet at the common wall. Roofs, and walls, of neighbours that are one
     plane but for centimetres are one afterwards.
 
     Only planes move: roofs stay planar, walls upright, and outer walls and floors where they are unless two walls
-    become one. Steps stay, the highest first, where a vertex would leave a plane by more than ``max_step_m`` or a
+    become one. Steps stay, the highest first, where a vertex would leave a plane by more than :data:`MAX_STEP_M` or a
     triangle turn over.
     """
     mesh = Mesh.joined(solids)
     building = np.repeat(np.arange(len(solids)), [len(solid.vertex_m) for solid in solids])
-    steps = _steps(mesh, solids, building, max_step_m)
+    steps = _steps(mesh, solids, building)
     vertex_at, plane_at = mesh.at
     moved, is_wrong = mesh, bool(steps)
     while is_wrong:
@@ -64,7 +64,7 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
         is_bad = apart_m > _APART_M
         # along a plane a vertex may move further, as where roofs of nearly the same slope meet
         off_m = ((moved.vertex_m - mesh.vertex_m)[vertex_at] * mesh.planes.normal[plane_at]).sum(axis=1)
-        is_bad[vertex_at[np.abs(off_m) > max_step_m]] = True
+        is_bad[vertex_at[np.abs(off_m) > MAX_STEP_M]] = True
         is_bad[mesh.triangle[turned_over(moved, mesh)]] = True
         is_bad_plane = np.zeros(len(one_plane), bool)
         is_bad_plane[plane_at[is_bad[vertex_at]]] = True
@@ -85,8 +85,8 @@ def with_common_roofs(solids: Sequence[Mesh], max_step_m: float = MAX_STEP_M) ->
     ]
 
 
-def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m: float) -> list[_Step]:
-    """The steps of less than ``max_step_m`` between solids that touch, and their planes that are one. mesh: all of
+def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray) -> list[_Step]:
+    """The steps of less than :data:`MAX_STEP_M` between solids that touch, and their planes that are one. mesh: all of
     them. building: of its vertices."""
     planes = mesh.planes
     point, faces = faces_of(solids)
@@ -113,7 +113,7 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
         for one, other in product(*(across[wall] for wall in pair))
         if not {beyond[one], beyond[other]} & party_walls
     }
-    found = {(step.vertices, step.planes): step for step in _one_planes(mesh, beside, max_step_m)}
+    found = {(step.vertices, step.planes): step for step in _one_planes(mesh, beside)}
     for pair in pairs:
         rings = [faces[wall].rings for wall in pair]
         corners = [[v for ring in each for v in ring if is_free[v]] for each in rings]
@@ -125,13 +125,13 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
             nearest = gaps_m.argmin(axis=1)
             for k, vertex in enumerate(corners[mine]):
                 other, plane, least_m = corners[theirs][nearest[k]], -1, gaps_m[k, nearest[k]]
-                if least_m >= max_step_m or gaps_m[:, nearest[k]].argmin() != k:
+                if least_m >= MAX_STEP_M or gaps_m[:, nearest[k]].argmin() != k:
                     start, along = point[edge[:, 0]], point[edge[:, 1]] - point[edge[:, 0]]
                     share = ((point[vertex] - start) * along).sum(axis=1) / (along**2).sum(axis=1)
                     away_m = np.linalg.norm(point[vertex] - start - share[:, None] * along, axis=1)
                     away_m[(share <= 0) | (share >= 1)] = np.inf
                     least_m = away_m.min(initial=np.inf)
-                    if least_m >= max_step_m:
+                    if least_m >= MAX_STEP_M:
                         continue
                     other, plane = -1, beyond[tuple(edge[away_m.argmin()].tolist())]
                 buildings = int(building[vertex]), int(building[corners[theirs][0]])
@@ -141,10 +141,8 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray, max_step_m:
     return list(found.values())
 
 
-def _one_planes(
-    mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]], max_off_m: float
-) -> list[_Step]:
-    """The planes of neighbours that are one but for centimetres: no vertex is further than ``max_off_m`` from the plane
+def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -> list[_Step]:
+    """The planes of neighbours that are one but for centimetres: no vertex is further than a step from the plane
     of all. beside: the buildings of pairs of planes at common walls."""
     planes, (vertex, plane) = mesh.planes, mesh.at
     order = np.argsort(plane, kind="stable")
@@ -169,7 +167,7 @@ def _one_planes(
         one, other = (_root(first, each) for each in step.planes)
         if one != other:
             together_m = np.concatenate([point_m[one], point_m[other]])
-            if off_plane_m(together_m, planes.kind[one]) < max_off_m:
+            if off_plane_m(together_m, planes.kind[one]) < MAX_STEP_M:
                 result.append(step)
                 first[other], point_m[one] = one, together_m
     return result
