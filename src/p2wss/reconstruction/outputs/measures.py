@@ -13,7 +13,7 @@ import shapely
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.angles import bearings
-from p2wss.skeleton.compiled import allocating, entry
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
 # planes with less slope are flat
@@ -197,58 +197,18 @@ def _walls(mesh: Mesh | None) -> tuple[np.ndarray, np.ndarray]:
     return corner[is_upright], normal[is_upright] / length[is_upright, None]
 
 
-@allocating
-def _common_part_m2(first: np.ndarray, second: np.ndarray) -> float:
-    """The area that two counter-clockwise triangles (3, 2) have in common: of the second, cut by each side of the first
-    (Sutherland and Hodgman, 1974)."""
-    # a convex polygon gets at most one corner by each cut
-    part, cut, num = np.empty((6, 2)), np.empty((6, 2)), 3
-    for k in range(3):
-        part[k] = second[k]
-    for side in range(3):
-        start, end = first[side], first[(side + 1) % 3]
-        kept = 0
-        for k in range(num):
-            here, after = part[k], part[(k + 1) % num]
-            inside_m2 = (end[0] - start[0]) * (here[1] - start[1]) - (end[1] - start[1]) * (
-                here[0] - start[0]
-            )
-            next_m2 = (end[0] - start[0]) * (after[1] - start[1]) - (end[1] - start[1]) * (
-                after[0] - start[0]
-            )
-            if inside_m2 >= 0:
-                cut[kept], kept = here, kept + 1
-            if inside_m2 * next_m2 < 0:
-                cut[kept], kept = here + inside_m2 / (inside_m2 - next_m2) * (after - here), kept + 1
-        part, cut, num = cut, part, kept
-    doubled_m2 = 0.0
-    for k in range(1, num - 1):
-        to_x, to_y = part[k] - part[0]
-        on_x, on_y = part[k + 1] - part[0]
-        doubled_m2 += to_x * on_y - to_y * on_x
-    return doubled_m2 / 2
-
-
-@entry
 def _common_area_m2(
     corner_a: np.ndarray, normal_a: np.ndarray, corner_b: np.ndarray, normal_b: np.ndarray
 ) -> float:
     """The area in which walls of one building touch walls of another, m2; both as :func:`_walls` returns them."""
-    total_m2, first, second = 0.0, np.empty((3, 2)), np.empty((3, 2))
-    for i in range(len(corner_a)):
-        x, y = normal_a[i]
-        for j in range(len(corner_b)):
-            if x * normal_b[j, 0] + y * normal_b[j, 1] >= _PARTY_COSINE:
-                continue
-            # a triangle may be longer than the wall that it faces: some of it near is enough
-            gap_m = np.inf
-            for k in range(3):
-                from_x, from_y = corner_b[j, k, 0] - corner_a[i, 0, 0], corner_b[j, k, 1] - corner_a[i, 0, 1]
-                gap_m = min(gap_m, abs(from_x * x + from_y * y))
-                # in the plane of the wall; the other one, which faces it, is turned round
-                second[2 - k, 0], second[2 - k, 1] = from_y * x - from_x * y, corner_b[j, k, 2]
-                from_x, from_y = corner_a[i, k, 0] - corner_a[i, 0, 0], corner_a[i, k, 1] - corner_a[i, 0, 1]
-                first[k, 0], first[k, 1] = from_y * x - from_x * y, corner_a[i, k, 2]
-            if gap_m <= _PARTY_M:
-                total_m2 += _common_part_m2(first, second)
-    return total_m2
+    a, b = np.nonzero(normal_a @ normal_b.T < _PARTY_COSINE)
+    # across and along the wall of the first
+    axes = np.stack([normal_a[a], normal_a[a, ::-1] * (-1, 1)], axis=2)
+    place_a, place_b = ((each[..., :2] - corner_a[a, :1, :2]) @ axes for each in (corner_a[a], corner_b[b]))
+    # a triangle may be longer than the wall that it faces: some of it near is enough
+    is_near = np.abs(place_b[..., 0]).min(axis=1) <= _PARTY_M
+    first, second = (
+        shapely.polygons(np.stack([place[..., 1], corner[..., 2]], axis=2)[is_near])
+        for place, corner in ((place_a, corner_a[a]), (place_b, corner_b[b]))
+    )
+    return float(shapely.area(shapely.intersection(first, second)).sum())
