@@ -2,6 +2,7 @@
 
     python benchmarks/outlines.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --picture outlines.png     # the outlines of Delft over the map (needs matplotlib)
+    .. --forests forest.laz ..    # how many outlines clouds without buildings give, whatever their classes but ground
 
 Delft west: 74 houses of the map, whose roofs are in a cloud of 15 points/m2. Settings were chosen on the western half
 (houses whose centre lies west of the median), so the eastern half is the test, as are the other two places. The map
@@ -39,7 +40,7 @@ from p2wss.reconstruction.area import footprint_settings
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.points import unclassified
 from p2wss.reconstruction.result import Result
-from p2wss.reconstruction.tracing.outlines import outline_features
+from p2wss.reconstruction.tracing.outlines import crowns, outline_features, outlines
 from p2wss.storage.features import Features
 
 MIN_AREA_M2 = 30.0
@@ -200,6 +201,7 @@ def main() -> int:
     parser.add_argument("--judge", type=Path, default=None, help="without it, outlines are not reconstructed")
     parser.add_argument("--places", nargs="+", default=["delft", "lidar hd", "bresse"])
     parser.add_argument("--picture", type=Path, default=None)
+    parser.add_argument("--forests", type=Path, nargs="+", default=[], help="clouds without buildings")
     parser.add_argument("--rows", action="store_true", help="also print the rows of the blocks")
     arguments = parser.parse_args()
     figures = Figures()
@@ -232,7 +234,7 @@ def main() -> int:
             figures.at_most("vertices by those of the map", totals["vertices"], BARS["vertices"])
             seconds = cpu_seconds(partial(outline_features, cloud, settings, crs), 1)
             figures.row("cpu", {"ms per outline": 1000 * seconds / len(features)})
-        bare = outline_features(without_classes(cloud), settings, crs).geometry
+        bare = outline_features(without_classes(cloud), settings, crs, is_classified=False).geometry
         unclassified_totals = measures(compared(houses, bare, ignored))
         print(f"{name}, without classes", json.dumps(unclassified_totals), flush=True)
         figures.row(f"{name}, without classes", unclassified_totals)
@@ -245,6 +247,13 @@ def main() -> int:
             if name == "delft":
                 figures.at_least("share of outlines with a closed solid", solids["closed"], 1.0)
                 figures.at_most("points to mesh on the map [m]", solids["p2m on map"], BARS["p2m"])
+    for path in arguments.forests:
+        bare_cloud = without_classes(clouds.read_clouds([path]))
+        shapes = outlines(bare_cloud, settings)
+        is_crown = crowns(bare_cloud, shapes, settings)
+        counts = {"outlines": int((~is_crown).sum()), "left out as crowns": int(is_crown.sum())}
+        print(path.name, json.dumps(counts), flush=True)
+        figures.row(path.name, counts)
     return figures.end()
 
 

@@ -18,7 +18,7 @@ from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
 from p2wss.data.crs import MetricCrs, check_crs, common_crs, metric_crs, odd_place, same_crs
-from p2wss.data.las_classes import LAS, ClassSet, class_set
+from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet, class_set
 from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
 from p2wss.data.tiling import Bounds
@@ -222,12 +222,12 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     from p2wss.reconstruction.tracing.outlines import outline_features
 
     classes = class_set(**config.region.classes.model_dump())
-    cloud, warnings = unclassified.with_classes(
-        read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
-    )
+    cloud = read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
+    is_classified = bool((cloud.classification == BUILDING_CLASS).any())
+    cloud, warnings = unclassified.with_classes(cloud)
     for warning in warnings:
         log.warning("warning: %s", warning)
-    return cloud, outline_features(cloud, config.reconstruct.outlines, inputs.crs)
+    return cloud, outline_features(cloud, config.reconstruct.outlines, inputs.crs, is_classified)
 
 
 def output_stem(cloud: Path) -> str:

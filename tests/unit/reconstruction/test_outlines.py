@@ -10,6 +10,7 @@ import pytest
 import shapely
 from shapely import affinity
 
+import p2wss
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.reconstruction.points.unclassified import with_classes
@@ -128,6 +129,57 @@ def test_a_cloud_without_classes() -> None:
     truth = placed(L_SHAPE)
     best = max(shapes, key=lambda shape: shape.intersection(truth).area)
     assert best.intersection(truth).area / best.union(truth).area >= 0.93
+
+
+def under(cloud: Cloud, roof: shapely.Polygon, share: float) -> Cloud:
+    """The cloud without classes, with a share of the points of a roof anywhere under it."""
+    draw = np.random.default_rng(4)
+    passes = shapely.contains_xy(placed(roof), cloud.x_m, cloud.y_m) & (draw.random(len(cloud)) < share)
+    z_m = np.where(passes, draw.uniform(2, 6, len(cloud)), cloud.z_m)
+    return replace(cloud, z_m=z_m, classification=np.ones(len(cloud), np.uint8))
+
+
+def test_crowns_that_pulses_pass_through_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    roof, crown = shapely.box(0, 0, 10, 8), shapely.box(20, 0, 27, 7)
+    cloud = under(scene((roof, 8.0), (crown, 9.0)), crown, 0.4)
+    supposed, _ = with_classes(cloud)
+    assert len(outlines(supposed, Outlines())) == 2
+    assert len(outline_features(supposed, Outlines(), LAMBERT)) == 2
+    (outline,) = p2wss.outlines(cloud).geometry
+    assert outline.intersection(placed(roof)).area >= 0.9 * roof.area
+    assert "left out, as pulses pass through them as through trees: 1" in caplog.text
+    assert "no point has class 6 (building)" in caplog.text
+    assert "footprints are not moved" not in caplog.text
+    # few pulses, as through windows in a roof
+    assert len(p2wss.outlines(under(scene((roof, 8.0), (crown, 9.0)), crown, 0.1))) == 2
+    # the producer says that it is a building
+    building = np.where(supposed.classification == BUILDING, BUILDING, 1).astype(np.uint8)
+    assert len(p2wss.outlines(replace(cloud, classification=building))) == 2
+
+
+def test_walls_with_many_points_do_not_make_a_crown() -> None:
+    """More points are under this roof than on it, but under its edges only."""
+    roof, count = shapely.box(0, 0, 10, 8), 8000
+    cloud, draw = scene((roof, 8.0)), np.random.default_rng(5)
+    wall = placed(roof).buffer(-0.3).exterior
+    x_m, y_m = shapely.get_coordinates(
+        shapely.line_interpolate_point(wall, draw.uniform(0, wall.length, count))
+    ).T
+    walled = Cloud(
+        np.concatenate([cloud.x_m, x_m]),
+        np.concatenate([cloud.y_m, y_m]),
+        np.concatenate([cloud.z_m, draw.uniform(2, 7.5, count)]),
+        np.concatenate([cloud.classification, np.ones(count, np.uint8)]),
+        LAMBERT,
+    )
+    (outline,) = outline_features(walled, Outlines(), LAMBERT, is_classified=False).geometry
+    assert shapely.contains_xy(outline, x_m, y_m).all()
+
+
+def test_a_cloud_of_crowns_alone_is_an_error() -> None:
+    crown = shapely.box(0, 0, 7, 7)
+    with pytest.raises(InputError, match="pulses pass through all 1 as through trees; give footprints"):
+        p2wss.outlines(under(scene((crown, 9.0)), crown, 0.4))
 
 
 def test_the_order_of_points_does_not_matter() -> None:

@@ -51,9 +51,14 @@ _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
 )
-_WITHOUT_BUILDINGS = (
-    "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than five of"
-    " them, all points 2 m above the ground), and footprints are not moved (--registration always: moved)"
+_WITHOUT_BUILDINGS = "points 2 m above the ground that lie on planes are used as building points"
+_IN_FOOTPRINTS = (
+    " (in footprints with fewer than five of them, all points 2 m above the ground), and footprints are not moved"
+    " (--registration always: moved)"
+)
+_WITHOUT_FOOTPRINTS = (
+    ", and trees may become buildings; give footprints, or a cloud whose buildings the producer classified, if there"
+    " are any"
 )
 
 
@@ -74,21 +79,23 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
         is_planar = planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
         classes = classes.copy()
         classes[candidates] = np.where(is_planar, BUILDING_CLASS, VEGETATION_CLASS)
-    return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 1)
+    return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 0)
 
 
 def warnings(num_without_ground: int, num_without_buildings: int, num_footprints: int) -> list[str]:
-    """A warning for each class that the points around some footprints lack."""
+    """A warning for each class that the points around some footprints lack, or those of a cloud without footprints."""
     result: list[str] = []
+    of_buildings = _WITHOUT_BUILDINGS + (_IN_FOOTPRINTS if num_footprints else _WITHOUT_FOOTPRINTS)
     for count, number, text in (
         (num_without_ground, "2 (ground)", _WITHOUT_GROUND),
-        (num_without_buildings, "6 (building)", _WITHOUT_BUILDINGS),
+        (num_without_buildings, "6 (building)", of_buildings),
     ):
         if count:
-            which = (
+            some = (
                 "the footprints" if count == num_footprints else f"{count} of the {num_footprints} footprints"
             )
-            result.append(f"no point around {which} has class {number}: {text}")
+            around = f" around {some}" if num_footprints else ""
+            result.append(f"no point{around} has class {number}: {text}")
     return result
 
 

@@ -8,6 +8,7 @@ that neighbours share bit-identical walls. Outlines are those of roofs, which ov
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +23,14 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
+from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.reconstruction.points.unclassified import filled
 from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 
+log = logging.getLogger("p2wss")
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
 # clouds of nearly the same density have the same cells
 _POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20
@@ -36,6 +39,9 @@ _SQUARE = np.ones((3, 3), bool)
 _FINER, _SMOOTH_CELLS = 3, 0.8
 # large buildings are split at smaller and smaller jumps, down to this
 _LEAST_JUMP_M = 0.4
+# pulses pass through a larger share of the cells of a crown, and through hardly any cell of a roof: all but those under
+# its edges, where walls may have any number of points
+_MOST_CELLS = 0.5
 # around the trace of a block
 _POINTS_MARGIN_M = 2.0
 # the grid of seams, and how far a face may reach beyond the outline by rounding
@@ -89,9 +95,27 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
     return shapes[np.lexsort((bounds[:, 1], bounds[:, 0]))]
 
 
-def outline_features(cloud: Cloud, settings: Outlines, crs: pyproj.CRS) -> Features:
-    """The outlines as footprints with the column ``building_id``, numbers from 1 as text."""
+def outline_features(
+    cloud: Cloud, settings: Outlines, crs: pyproj.CRS, is_classified: bool = True
+) -> Features:
+    """The outlines as footprints with the column ``building_id``, numbers from 1 as text.
+
+    is_classified: whether class building is the producer's; else outlines of crowns are left out, and a warning says
+    how many. Raises :class:`InputError` as :func:`outlines` does, also if all are of crowns.
+    """
     shapes = outlines(cloud, settings)
+    if not is_classified:
+        is_crown = crowns(cloud, shapes, settings)
+        if is_crown.all():
+            raise InputError(
+                f"no outlines: pulses pass through all {len(shapes)} as through trees; give footprints, or classify"
+                " the points first"
+            )
+        if is_crown.any():
+            log.warning(
+                "warning: outlines left out, as pulses pass through them as through trees: %d", is_crown.sum()
+            )
+        shapes = shapes[~is_crown]
     ids = np.array([str(number + 1) for number in range(len(shapes))], object)
     return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
 
@@ -99,14 +123,7 @@ def outline_features(cloud: Cloud, settings: Outlines, crs: pyproj.CRS) -> Featu
 def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
     """The cells of blocks and buildings. Cells begin at whole multiples of their size, whatever the window."""
     is_building = cloud.classification == BUILDING_CLASS
-    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
-    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
-    column = np.floor(cloud.x_m / cell_m).astype(np.int64)
-    row = np.floor(cloud.y_m / cell_m).astype(np.int64)
-    first = int(column.min()) - 2, int(row.min()) - 2
-    column, row = column - first[0], row - first[1]
-    shape = int(row.max()) + 3, int(column.max()) + 3
-    cell = row * shape[1] + column
+    density, cell_m, first, shape, cell = _cells(cloud, settings)
     counts = [
         np.bincount(cell[cloud.classification == value], minlength=shape[0] * shape[1]).reshape(shape)
         for value in (BUILDING_CLASS, GROUND_CLASS)
@@ -117,7 +134,45 @@ def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
     block = _large(scipy.ndimage.label(is_roof)[0], settings.min_area_m2 / cell_m**2)
     height_m = _heights(cell[is_building], cloud.z_m[is_building], shape)
     building = _split(block, height_m, settings, cell_m)
-    return Raster(building, block, (first[0] * cell_m, first[1] * cell_m), float(cell_m), density)
+    return Raster(building, block, (first[0] * cell_m, first[1] * cell_m), cell_m, density)
+
+
+def crowns(cloud: Cloud, shapes: np.ndarray, settings: Outlines) -> np.ndarray:
+    """Whether pulses pass through each outline as through the crown of a tree, bool (n,).
+
+    They do if, in most of its cells that have points on the roof or under it, one is under it by at least the least
+    height of a building. The cells are those of the trace.
+    """
+    is_building = cloud.classification == BUILDING_CLASS
+    _, cell_m, first, shape, cell = _cells(cloud, settings)
+    roof_m = _heights(cell[is_building], cloud.z_m[is_building], shape).ravel()
+    is_under = ~is_building & (cloud.z_m < roof_m[cell] - MIN_HEIGHT_M)
+    transform = Affine(cell_m, 0, first[0] * cell_m, 0, cell_m, first[1] * cell_m)
+    numbered = ((outline, number) for number, outline in enumerate(shapes, start=1))
+    number = rasterio.features.rasterize(numbered, shape, transform=transform, dtype=np.int32).ravel()
+    under, all_cells = (
+        np.bincount(number[np.unique(cell[chosen])], minlength=len(shapes) + 1)[1:]
+        for chosen in (is_under, is_under | is_building)
+    )
+    return under > _MOST_CELLS * all_cells
+
+
+def _cells(
+    cloud: Cloud, settings: Outlines
+) -> tuple[float, float, tuple[int, int], tuple[int, int], np.ndarray]:
+    """(building points per m2, size of cells in metres, first column and row, shape of the raster, cell of each point).
+
+    Two empty cells are around the points.
+    """
+    is_building = cloud.classification == BUILDING_CLASS
+    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
+    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
+    column = np.floor(cloud.x_m / cell_m).astype(np.int64)
+    row = np.floor(cloud.y_m / cell_m).astype(np.int64)
+    first = int(column.min()) - 2, int(row.min()) - 2
+    column, row = column - first[0], row - first[1]
+    shape = int(row.max()) + 3, int(column.max()) + 3
+    return density, float(cell_m), first, shape, row * shape[1] + column
 
 
 def _density(x_m: np.ndarray, y_m: np.ndarray) -> float:
