@@ -11,8 +11,8 @@ judged against the footprints and points in place, in two halves (every second b
 one vector of 1.5 m, give or take 15 cm per block. Thresholds were chosen on Delft with the seeds 0 to 29, so the seeds
 from 30 are the test, of both halves. Deviations: 1,000 blocks moved at random by 0.5 to 1.5 m. Few points: blocks of
 six places, in place, and moved by 0.5 to 1.5 m, with all points, half of them, and a seventh; the rules were chosen
-with the seeds 100 to 103. Sheds: squares of 2 to 6 m at random places of three clouds where there is no building must
-stay. ``--data`` and the judge are those of ``real.py``.
+with the seeds 100 to 103. Classes removed: the same, with the classes of p2wss itself. Sheds: squares of 2 to 6 m at
+random places of three clouds where there is no building must stay. ``--data`` and the judge are those of ``real.py``.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ from p2wss.data import polygon_arrays
 from p2wss.data.seeds import generator
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruction.pipeline import run as run_reconstruct
+from p2wss.reconstruction.points.unclassified import with_classes
 from p2wss.reconstruction.registration.blocks import find_blocks
-from p2wss.reconstruction.registration.register import NOTHING, register
+from p2wss.reconstruction.registration.register import NOTHING, OWN_CLASSES, register
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.features import Features
 
@@ -54,6 +55,7 @@ TOWN_NOISE_M = (0.0, 0.2)
 # places and shares of their points; from how far on a block counts as left where it was
 SPARSE = ("delft_ahn3", "bresse_ign", "nyc_roofn3d", "trondheim", "dallas", "adelaide")
 SHARES, LEFT_M = (1.0, 0.5, 0.15), 0.3
+UNCLASSIFIED = ("toronto", "amsterdam_ahn")
 
 
 def read(place: Place) -> tuple[gpd.GeoDataFrame, Cloud]:
@@ -208,6 +210,28 @@ def of_few_points(figures: Figures, arguments: argparse.Namespace) -> None:
     figures.at_least("few points, within two deviations", float(np.mean(within)), WITHIN)
 
 
+def of_own_classes(figures: Figures, arguments: argparse.Namespace) -> None:
+    """Blocks in place, and moved by 1 m and more, in clouds whose classes are removed."""
+    counts = dict.fromkeys(("in place", "in place and moved", "displaced", "displaced and left"), 0)
+    for name in (*SPARSE, *UNCLASSIFIED):
+        folder = arguments.data / name
+        frame, cloud = read(Place(folder / "footprints.gpkg", tuple(sorted(folder.glob("*.laz"))), 0))
+        own, _ = with_classes(replace(cloud, classification=np.ones(len(cloud), np.uint8)))
+        registers = np.full(len(frame), OWN_CLASSES, np.int8)
+        for length_m in (0.0, *SHIFTS_M[1:]):
+            state, what = ("displaced", " and left") if length_m else ("in place", " and moved")
+            for seed in arguments.seeds:
+                features, vector, block = moved(frame, length_m, seed)
+                rows = register(features, own, registers)[1]
+                for k in np.unique(block, return_index=True)[1].tolist():
+                    off_m = float(np.linalg.norm(vector[k] + rows[k].shift_m))
+                    counts[state] += 1
+                    counts[state + what] += off_m > (LEFT_M if length_m else 0.0)
+    figures.row("classes removed, blocks", counts)
+    share = counts["in place and moved"] / counts["in place"]
+    figures.at_most("classes removed, share of blocks in place that move", share, 0.01)
+
+
 def town(folder: Path, num_buildings: int) -> Place:
     """The first footprints of a town that lie within its cloud, with their neighbours, in a file beside it."""
     cloud = next(folder.glob("lidar/*.laz"))
@@ -291,6 +315,7 @@ def main() -> int:
         if not arguments.off:
             of_deviations(figures, arguments)
             of_few_points(figures, arguments)
+            of_own_classes(figures, arguments)
             of_sheds(figures, arguments)
     return figures.end()
 

@@ -167,7 +167,7 @@ class Reconstruct(Section):
     registration: Literal["auto", "always", "never"] = Field(
         "auto",
         description="move blocks of footprints, by at most 3 m, to where the points clearly show the buildings; auto = "
-        "where the clouds have points of class building, always = also where p2wss has classified the points",
+        "where p2wss has classified the points by 0.7 m at least, always = there as where the producer has",
     )
     buffer_m: float = Field(
         1, ge=0, le=20, description="distance from the footprint within which points belong to a building"

@@ -27,7 +27,14 @@ from p2wss.footprints.limits import repaired
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.pipeline import Part, Rows
 from p2wss.reconstruction.points.cloud_index import CloudIndex
-from p2wss.reconstruction.registration.register import Registration, Surroundings, register
+from p2wss.reconstruction.registration.register import (
+    CLASSES,
+    OWN_CLASSES,
+    STAYS,
+    Registration,
+    Surroundings,
+    register,
+)
 from p2wss.reconstruction.registration.shifts import MAX_SHIFT_M
 from p2wss.reconstruction.running.failures import note, surviving
 from p2wss.storage.errors import InputError
@@ -94,17 +101,17 @@ class Area:
     ) -> tuple[Features, list[Registration | None], Cloud]:
         """The footprints ``rows``, where the cloud shows them, what moved each, and the points around them.
 
-        registers: of all footprints, those that may be moved, bool (footprints,).
+        registers: of all footprints, whether they may be moved, int8 (footprints,), as :meth:`registers` returns.
         """
         is_row = np.zeros(len(self.features), bool)
         is_row[rows] = True
         is_around = self._around(is_row)
         cloud = points.near(self._boxes(is_row, is_around))
         around = self.features.take(is_around)
-        may_move = registers[is_around]
+        may_move = registers[is_around] != STAYS
         done: dict[int, Registration] = {}
         if may_move.any() and self._surroundings is not None:
-            registered, registrations = register(around.take(may_move), cloud)
+            registered, registrations = register(around.take(may_move), cloud, registers[is_around][may_move])
             done = dict(zip(np.flatnonzero(may_move).tolist(), registrations, strict=True))
             geometry = around.geometry.copy()
             geometry[may_move] = registered.geometry
@@ -112,12 +119,14 @@ class Area:
         chosen = np.flatnonzero(is_row[is_around])
         return around.take(chosen), [done.get(k) for k in chosen.tolist()], cloud
 
-    def may_move(self, points: CloudIndex) -> np.ndarray:
-        """The footprints of blocks around which the producer has points of class building, bool (footprints,): what
-        :mod:`p2wss.reconstruction.points.unclassified` takes for buildings moves no footprint."""
+    def registers(self, points: CloudIndex) -> np.ndarray:
+        """Whether each footprint may be moved, int8 (footprints,): :data:`CLASSES` in blocks around which the producer
+        has points of class building, else :data:`OWN_CLASSES`, as what
+        :mod:`p2wss.reconstruction.points.unclassified` takes for buildings says less; without registration, none."""
         if self._surroundings is None:
-            return np.zeros(len(self.features), bool)
-        return self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))
+            return np.full(len(self.features), STAYS, np.int8)
+        has_classes = self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))
+        return np.where(has_classes, CLASSES, OWN_CLASSES).astype(np.int8)
 
     def missing_classes(self, points: CloudIndex) -> tuple[int, int, int]:
         """Chosen footprints with points around them: those of which none is ground, none is building, and all."""
@@ -176,7 +185,9 @@ def run_area(
 
     def unregistered(row: int, trace: str) -> list[Part]:
         some = np.array([row])
-        found = surviving(lambda some: prepared(some, registers & False), some, lambda row, trace: [])
+        found = surviving(
+            lambda some: prepared(some, np.full_like(registers, STAYS)), some, lambda row, trace: []
+        )
         if found:
             note(f"registration of {area.features['building_id'][row]}", trace, "it stays where it is")
             return found

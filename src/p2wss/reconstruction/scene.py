@@ -535,9 +535,11 @@ def _reconstruct(
         else:
             points.append(outline_cloud)
             outline_cloud = None
-        registers = area.may_move(points) & (inputs.footprints is not None)
-        if settings.registration == "always":
-            registers |= inputs.footprints is not None
+        registers = area.registers(points)
+        if inputs.footprints is None:
+            registers[:] = registration.STAYS
+        elif settings.registration == "always":
+            registers[:] = registration.CLASSES
         if inputs.terrain is not None:
             exports.check_coverage(*inputs.terrain, rows)
         if points.num_points:

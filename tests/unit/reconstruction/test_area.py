@@ -20,7 +20,7 @@ from p2wss.reconstruction.area import Area, run_area
 from p2wss.reconstruction.outputs.measures import party_wall_areas_m2
 from p2wss.reconstruction.pipeline import Rows
 from p2wss.reconstruction.points.cloud_index import CloudIndex
-from p2wss.reconstruction.registration.register import AROUND, EDGES
+from p2wss.reconstruction.registration.register import AROUND, CLASSES
 from p2wss.reconstruction.result import Result
 from p2wss.reconstruction.running.spool import Spool
 from p2wss.storage.features import Features
@@ -82,7 +82,9 @@ def results_of(
     area = Area(features, is_chosen, CONFIG)
     with CloudIndex(area.boxes, folder) as points, Spool[Any](len(area.numbers), folder) as store:
         points.append(cloud)
-        registers = area.may_move(points) | options.get("registers", False)
+        registers = area.registers(points)
+        if options.get("registers"):
+            registers[:] = CLASSES
         rows = Rows(len(area.numbers), store, None, "tile", CONFIG, None, num_processes)
         run_area(area, points, rows, registers)
         num_batches = len(list(area.batches(points)))
@@ -143,24 +145,26 @@ def test_a_part_gives_the_same_as_the_whole(
             assert min(result.party_wall_area_m2 for result in part.values()) > 40
 
 
-def test_footprints_move_only_where_the_producer_shows_buildings(
+def test_footprints_move_less_readily_where_the_producer_shows_no_buildings(
     town: tuple[Features, Cloud], tmp_path: Path
 ) -> None:
-    features, _ = town
+    features, cloud = town
     results, _ = results_of(town, tmp_path)
-    is_east = features["centre_x_m"] > EAST_M
-    for result, is_eastern in zip(results.values(), is_east, strict=True):
-        assert (result.registration is None) == is_eastern
-        if result.registration is not None:
-            assert np.hypot(*np.add(result.registration.shift_m, SHIFT_M)) < 0.3
+    registrations = [result.registration for result in results.values()]
+    for registration in registrations[:NUM_HOUSES]:
+        assert registration and np.hypot(*np.add(registration.shift_m, SHIFT_M)) < 0.3
     # where its own edges show nothing, a house moves as those around it
-    sources = [result.registration and result.registration.source for result in results.values()]
-    assert sources[ALONE] == AROUND and sources.count(EDGES) == NUM_HOUSES // 2 + 5
+    assert [each and each.source for each in registrations].index(AROUND) == ALONE
     # points that are nobody's buildings are taken for roofs
     assert [result.status for result in results.values()] == ["ok"] * NUM_HOUSES + ["flat"]
-    forced, _ = results_of(town, tmp_path, registers=True)
-    houses = [forced[name] for name in features["building_id"][is_east][:-1]]
-    assert all(np.hypot(*np.add(house.registration.shift_m, SHIFT_M)) < 0.3 for house in houses)
+    # half a metre off
+    nearer = np.array([affinity.translate(shape, -0.7, 0.5) for shape in features.geometry], object)
+    town = dataclasses.replace(features, geometry=nearer), cloud
+    is_east = (features["centre_x_m"] > EAST_M)[:NUM_HOUSES]
+    for registers, stays in ((False, is_east), (True, is_east & False)):
+        results, _ = results_of(town, tmp_path, registers=registers)
+        lengths_m = [np.hypot(*each.registration.shift_m) for each in [*results.values()][:NUM_HOUSES]]
+        assert np.array_equal(np.array(lengths_m) == 0, stays) and max(lengths_m) < 0.8
 
 
 def test_ground_of_a_building_without_points(town: tuple[Features, Cloud], tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 import resource
 import signal
 from collections.abc import Callable, Iterator
@@ -73,6 +74,11 @@ def rows_of(out: Path) -> dict[str, str]:
 def status_of(row: str) -> tuple[str, str]:
     attributes = next(iter(json.loads(row)["CityObjects"].values()))["attributes"]
     return attributes["status"], attributes["reason"]
+
+
+def alike(row: str) -> str:
+    """A row without the deviation of its shift, to which the blocks around contribute."""
+    return re.sub(r'"shift_sd_m":[^,]*,', "", row)
 
 
 def content(out: Path) -> Any:
@@ -163,7 +169,7 @@ def test_an_error_at_any_station_is_that_of_one_building(
     assert sorted(rows) == sorted(IDS)
     roof = "none" if name.endswith(WITHOUT_ROOF) else "flat"
     assert status_of(rows.pop("victim")) == (roof, "internal-error")
-    assert rows == {each: plain[each] for each in rows}
+    assert {each: alike(row) for each, row in rows.items()} == {each: alike(plain[each]) for each in rows}
     about = [line for line in caplog.messages if line.startswith("warning: victim: internal error")]
     assert len(about) == 1 and "ZeroDivisionError: planted" in about[0] and ".errors.log" in about[0]
     assert content(tmp_path)["buildings"]["reasons"] == {"internal-error": 1}
@@ -218,7 +224,7 @@ def test_no_kind_of_error_ends_a_run(
     assert run(town, tmp_path, "--threads", threads) == 0
     rows = rows_of(tmp_path)
     assert status_of(rows.pop("victim")) == ("flat", "internal-error")
-    assert rows == {each: plain[each] for each in rows}
+    assert {each: alike(row) for each, row in rows.items()} == {each: alike(plain[each]) for each in rows}
     trace = (tmp_path / "cloud.errors.log").read_text()
     assert trace.splitlines()[-1].startswith(last)
 
@@ -255,7 +261,7 @@ OF_BLOCKS: dict[str, tuple[Callable[..., bool], str, tuple[str, ...]]] = {
         (),
     ),
     "reconstruction.registration.register.solve_shift": (
-        lambda edge, step_m, shift_m: is_there(edge[:, 0]),
+        lambda edge, *more: is_there(edge[:, 0]),
         "registration of the block of victim",
         (),
     ),
@@ -290,7 +296,7 @@ def test_an_error_at_a_block_leaves_what_was_there(
     assert {status_of(row)[0] for row in rows.values()} == {"ok"}
     if "party" not in what:
         same = [each for each in IDS if each != "victim"]
-        assert [rows[each] for each in same] == [plain[each] for each in same]
+        assert [alike(rows[each]) for each in same] == [alike(plain[each]) for each in same]
     assert what in content(tmp_path)["errors"]
     assert "ZeroDivisionError: planted" in (tmp_path / "cloud.errors.log").read_text()
     groups = [line for line in (tmp_path / "cloud.obj").read_text().splitlines() if line.startswith("o ")]
@@ -313,7 +319,7 @@ def test_a_footprint_that_cannot_even_be_split(
     assert run(town, tmp_path) == 0
     rows = rows_of(tmp_path)
     assert status_of(rows.pop("victim")) == ("none", "internal-error")
-    assert rows == {each: plain[each] for each in rows}
+    assert {each: alike(row) for each, row in rows.items()} == {each: alike(plain[each]) for each in rows}
 
 
 def test_a_file_that_cannot_be_made_is_missing(

@@ -114,9 +114,9 @@ def test_overhang_on_all_sides_is_no_shift(overhang: float) -> None:
     frame = frame_of(BLOCK)
     result, _ = registered(frame, cloud)
     assert result.geometry.geom_equals_exact(frame.geometry, 0).all()
-    assert block_shifts(find_blocks(frame.geometry.to_numpy()), cloud).overhang_m[0] == pytest.approx(
-        overhang, abs=0.1
-    )
+    assert block_shifts(find_blocks(frame.geometry.to_numpy()), cloud, np.zeros(1, bool)).overhang_m[
+        0
+    ] == pytest.approx(overhang, abs=0.1)
 
 
 def test_a_tree_over_one_side_is_no_shift() -> None:
@@ -186,11 +186,11 @@ def test_footprints_that_overlap_share_no_wall(overlap_m: float, num_blocks: int
     assert len(set(find_blocks(pair).of_footprint)) == num_blocks
 
 
-def decided(*estimates: tuple[float, float, float]) -> Shifts:
+def decided(*estimates: tuple[float, float, float], is_own: bool = False) -> Shifts:
     """What is decided of blocks beside each other, by shifts and deviations."""
     rows = [Estimate(np.array(each[:2]), each[2], 0.1) for each in estimates]
     pairs = [(a, b) for a in range(len(rows)) for b in range(len(rows)) if a != b]
-    return decide(rows, np.array(pairs, np.int64).reshape(-1, 2))
+    return decide(rows, np.array(pairs, np.int64).reshape(-1, 2), np.full(len(rows), is_own))
 
 
 def test_only_clear_evidence_moves_a_block() -> None:
@@ -202,6 +202,10 @@ def test_only_clear_evidence_moves_a_block() -> None:
     assert (decided((0.0, 0.9, 50.0)).shift_m == 0).all()
     assert (decided((0.4, 0.0, 0.4)).shift_m == 0).all()
     assert decided((0.8, 0.0, 0.4)).shift_m[0] == pytest.approx([0.8, 0.0])
+    # classes of p2wss itself show less
+    assert (decided((0.6, 0.0, 0.15), is_own=True).shift_m == 0).all()
+    assert (decided((0.8, 0.0, 0.45), is_own=True).shift_m == 0).all()
+    assert decided((0.8, 0.0, 0.15), is_own=True).shift_m[0] == pytest.approx([0.8, 0.0])
 
 
 def test_a_block_without_evidence_moves_as_all_around_it() -> None:

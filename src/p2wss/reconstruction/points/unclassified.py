@@ -53,8 +53,8 @@ _WITHOUT_GROUND = (
 )
 _WITHOUT_BUILDINGS = "points 2 m above the ground that lie on planes are used as building points"
 _IN_FOOTPRINTS = (
-    " (in footprints with fewer than five of them, all points 2 m above the ground), and footprints are not moved"
-    " (--registration always: moved)"
+    " (in footprints with fewer than five of them, all points 2 m above the ground), and footprints are moved by"
+    " 0.7 m at least, or not at all (--registration never, or always: as with class 6)"
 )
 _WITHOUT_FOOTPRINTS = (
     ", and trees may become buildings; give footprints, or a cloud whose buildings the producer classified, if there"

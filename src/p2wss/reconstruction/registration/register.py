@@ -66,6 +66,10 @@ class Evidence:
 
 
 EVIDENCE = Evidence()
+# of points that p2wss itself classified, which takes trees and decks for roofs
+OWN_EVIDENCE = Evidence(min_shift_m=0.7, min_sigmas=2.0)
+# whether a footprint may be moved, and by which evidence: int8
+STAYS, OWN_CLASSES, CLASSES = range(3)
 
 
 @dataclass(frozen=True)
@@ -107,18 +111,24 @@ class Registration:
     block: str = ""
 
 
-def register(features: Features, cloud: Cloud) -> tuple[Features, list[Registration]]:
+def register(
+    features: Features, cloud: Cloud, registers: np.ndarray | None = None
+) -> tuple[Features, list[Registration]]:
     """(the footprints where the cloud shows the buildings, what was done to each).
 
     features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
-    :meth:`Surroundings.around`.
+    :meth:`Surroundings.around`. registers: of each, :data:`OWN_CLASSES`, where p2wss itself classified the points
+    around, or :data:`CLASSES`, the default; those of a block are the same.
     """
     shapes = features.geometry
     blocks = find_blocks(shapes)
     least_id: dict[int, str] = {}
     for block, name in zip(blocks.of_footprint.tolist(), features["building_id"].tolist(), strict=True):
         least_id[block] = min(name, least_id.get(block, name))
-    shifts = block_shifts(blocks, cloud, least_id)
+    is_own = np.zeros(len(shapes), bool) if registers is None else registers == OWN_CLASSES
+    of_own = np.zeros(len(blocks), bool)
+    of_own[blocks.of_footprint[is_own & (blocks.of_footprint >= 0)]] = True
+    shifts = block_shifts(blocks, cloud, of_own, least_id)
     polygons = polygon_arrays.to_polygons(shapes)
     of_vertex = np.repeat(blocks.of_footprint, np.diff(polygons.vertex_offset))
     xy_m = moved(polygons.xy_m, of_vertex, shifts.shift_m)
@@ -138,7 +148,7 @@ def register(features: Features, cloud: Cloud) -> tuple[Features, list[Registrat
                 float(sd_m) if np.isfinite(sd_m) else None,
                 str(shifts.source[block]),
                 float(overhang_m) if np.isfinite(overhang_m) else None,
-                evidence.flags[k],
+                () if is_own[k] else evidence.flags[k],
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),
                 least_id[block],
@@ -213,10 +223,12 @@ def moved(xy_m: np.ndarray, block: np.ndarray, shift_m: np.ndarray) -> np.ndarra
     return xy_m + shift_m[block] if len(shift_m) else xy_m
 
 
-def block_shifts(blocks: Blocks, cloud: Cloud, names: Mapping[int, str] | None = None) -> Shifts:
-    """The movement of every block. names: of blocks, for messages."""
+def block_shifts(
+    blocks: Blocks, cloud: Cloud, is_own: np.ndarray, names: Mapping[int, str] | None = None
+) -> Shifts:
+    """The movement of every block. is_own: see :func:`decide`. names: of blocks, for messages."""
     near = _Near(blocks, cloud)
-    return decide(near.estimates(names or {}), blocks_around(blocks))
+    return decide(near.estimates(names or {}), blocks_around(blocks), is_own)
 
 
 def blocks_around(blocks: Blocks) -> np.ndarray:
@@ -300,10 +312,11 @@ class _Near:
         return best
 
 
-def decide(estimates: list[Estimate], pairs: np.ndarray) -> Shifts:
+def decide(estimates: list[Estimate], pairs: np.ndarray, is_own: np.ndarray) -> Shifts:
     """The movements that are applied, decided by the evidence.
 
-    pairs: of blocks that are near each other, (p, 2), each twice, ascending.
+    pairs: of blocks that are near each other, (p, 2), each twice, ascending. is_own: of n blocks, those around which
+    p2wss itself classified the points, bool (n,).
     """
     count = len(estimates)
     shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
@@ -325,8 +338,9 @@ def decide(estimates: list[Estimate], pairs: np.ndarray) -> Shifts:
         if np.hypot(*apart_m) <= EVIDENCE.max_sigmas_apart * joint_sd_m < np.inf:
             shift_m[block] += apart_m * (own_sd_m[block] / joint_sd_m) ** 2
             sd_m[block] *= around_sd_m / joint_sd_m
-    least_m = np.fmax(EVIDENCE.min_sigmas * sd_m, EVIDENCE.min_shift_m)
-    shift_m[np.hypot(*shift_m.T) < least_m] = 0.0
+    for rules, of_rules in ((EVIDENCE, ~is_own), (OWN_EVIDENCE, is_own)):
+        least_m = np.fmax(rules.min_sigmas * sd_m, rules.min_shift_m)
+        shift_m[of_rules & (np.hypot(*shift_m.T) < least_m)] = 0.0
     return Shifts(np.round(shift_m, 3), sd_m, source, overhang_m)
 
 
