@@ -48,13 +48,14 @@ class Search:
 
 @dataclass(frozen=True)
 class StepRules:
-    """The step of an edge. Chosen on Delft with blocks moved by known vectors (``benchmarks/registration.py``).
+    """The step of an edge. Chosen on real places with blocks moved by known vectors (``benchmarks/registration.py``).
 
     end_m: part at either end of the edge that is not used, because the points there may belong to the next wall.
     min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: the weights inside a clear step exceed
     those of a strip that is all inside, and of one that is all outside, by so many points, and by this share of those
     of the side with fewer: a tree may hide where the roof ends. sd_m: standard deviation of a step, from the accuracy
-    of footprints and points.
+    of footprints and points. as_good_points: places of a step are as good as the best one if the weights inside are
+    less by no more; their extent adds to its deviation.
     """
 
     end_m: float = 0.3
