@@ -40,7 +40,7 @@ from p2wss.reconstruction.area import footprint_settings
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.points import unclassified
 from p2wss.reconstruction.result import Result
-from p2wss.reconstruction.tracing.outlines import crowns, outline_features, outlines
+from p2wss.reconstruction.tracing.outlines import crowns, outline_features, outlines, rasterised
 from p2wss.storage.features import Features
 
 MIN_AREA_M2 = 30.0
@@ -250,7 +250,7 @@ def main() -> int:
     for path in arguments.forests:
         bare_cloud = without_classes(clouds.read_clouds([path]))
         shapes = outlines(bare_cloud, settings)
-        is_crown = crowns(bare_cloud, shapes, settings)
+        is_crown = crowns(bare_cloud, shapes, rasterised(bare_cloud, settings))
         counts = {"outlines": int((~is_crown).sum()), "left out as crowns": int(is_crown.sum())}
         print(path.name, json.dumps(counts), flush=True)
         figures.row(path.name, counts)

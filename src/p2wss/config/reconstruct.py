@@ -167,7 +167,7 @@ class Reconstruct(Section):
     registration: Literal["auto", "always", "never"] = Field(
         "auto",
         description="move blocks of footprints, by at most 3 m, to where the points clearly show the buildings; auto = "
-        "where p2wss has classified the points by 0.7 m at least, always = there as where the producer has",
+        "only by 0.7 m or more where the clouds have no class building, always = by any clear shift there, too",
     )
     buffer_m: float = Field(
         1, ge=0, le=20, description="distance from the footprint within which points belong to a building"

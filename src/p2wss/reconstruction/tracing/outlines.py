@@ -62,12 +62,28 @@ class Raster:
     cell_m: float
     density: float
 
+    @property
+    def transform(self) -> Affine:
+        """From columns and rows to x and y."""
+        return Affine(self.cell_m, 0, self.origin_m[0], 0, self.cell_m, self.origin_m[1])
 
-def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
+
+@dataclass(frozen=True)
+class CloudRaster(Raster):
+    """Those of a cloud. cell: int64 (n,), of each point, row by row. height_m: of roofs, float64 (rows, columns)."""
+
+    cell: np.ndarray
+    height_m: np.ndarray
+
+
+def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np.ndarray:
     """Polygons of the outlines of all buildings in the cloud, an object array in the order of their lower left corners.
 
     Neighbours share vertices along common walls. Raises :class:`InputError` if the cloud has no points, or none of
     class building (:func:`p2wss.reconstruction.points.unclassified.with_classes` gives a cloud without classes some).
+
+    is_classified: whether class building is the producer's; else outlines of crowns are left out, and a warning says
+    how many. Raises :class:`InputError`, too, if all are of crowns.
     """
     if not len(cloud):
         raise InputError("no outlines: the cloud has no points")
@@ -91,21 +107,8 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
         points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
         result += _of_block(trace, points, raster, settings)
     shapes = np.array(result, dtype=object)
-    bounds = shapely.bounds(shapes)
-    return shapes[np.lexsort((bounds[:, 1], bounds[:, 0]))]
-
-
-def outline_features(
-    cloud: Cloud, settings: Outlines, crs: pyproj.CRS, is_classified: bool = True
-) -> Features:
-    """The outlines as footprints with the column ``building_id``, numbers from 1 as text.
-
-    is_classified: whether class building is the producer's; else outlines of crowns are left out, and a warning says
-    how many. Raises :class:`InputError` as :func:`outlines` does, also if all are of crowns.
-    """
-    shapes = outlines(cloud, settings)
     if not is_classified:
-        is_crown = crowns(cloud, shapes, settings)
+        is_crown = crowns(cloud, shapes, raster)
         if is_crown.all():
             raise InputError(
                 f"no outlines: pulses pass through all {len(shapes)} as through trees; give footprints, or classify"
@@ -116,14 +119,30 @@ def outline_features(
                 "warning: outlines left out, as pulses pass through them as through trees: %d", is_crown.sum()
             )
         shapes = shapes[~is_crown]
+    bounds = shapely.bounds(shapes)
+    return shapes[np.lexsort((bounds[:, 1], bounds[:, 0]))]
+
+
+def outline_features(
+    cloud: Cloud, settings: Outlines, crs: pyproj.CRS, is_classified: bool = True
+) -> Features:
+    """The outlines as footprints with the column ``building_id``, numbers from 1 as text; as :func:`outlines`."""
+    shapes = outlines(cloud, settings, is_classified)
     ids = np.array([str(number + 1) for number in range(len(shapes))], object)
     return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
 
 
-def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
+def rasterised(cloud: Cloud, settings: Outlines) -> CloudRaster:
     """The cells of blocks and buildings. Cells begin at whole multiples of their size, whatever the window."""
     is_building = cloud.classification == BUILDING_CLASS
-    density, cell_m, first, shape, cell = _cells(cloud, settings)
+    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
+    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
+    column = np.floor(cloud.x_m / cell_m).astype(np.int64)
+    row = np.floor(cloud.y_m / cell_m).astype(np.int64)
+    first = int(column.min()) - 2, int(row.min()) - 2
+    column, row = column - first[0], row - first[1]
+    shape = int(row.max()) + 3, int(column.max()) + 3
+    cell = row * shape[1] + column
     counts = [
         np.bincount(cell[cloud.classification == value], minlength=shape[0] * shape[1]).reshape(shape)
         for value in (BUILDING_CLASS, GROUND_CLASS)
@@ -134,45 +153,27 @@ def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
     block = _large(scipy.ndimage.label(is_roof)[0], settings.min_area_m2 / cell_m**2)
     height_m = _heights(cell[is_building], cloud.z_m[is_building], shape)
     building = _split(block, height_m, settings, cell_m)
-    return Raster(building, block, (first[0] * cell_m, first[1] * cell_m), cell_m, density)
+    origin_m = first[0] * cell_m, first[1] * cell_m
+    return CloudRaster(building, block, origin_m, float(cell_m), density, cell, height_m)
 
 
-def crowns(cloud: Cloud, shapes: np.ndarray, settings: Outlines) -> np.ndarray:
-    """Whether pulses pass through each outline as through the crown of a tree, bool (n,).
+def crowns(cloud: Cloud, shapes: np.ndarray, raster: CloudRaster) -> np.ndarray:
+    """Whether pulses pass through each outline as through the crown of a tree, bool (n,). raster: of the cloud.
 
     They do if, in most of its cells that have points on the roof or under it, one is under it by at least the least
-    height of a building. The cells are those of the trace.
+    height of a building.
     """
     is_building = cloud.classification == BUILDING_CLASS
-    _, cell_m, first, shape, cell = _cells(cloud, settings)
-    roof_m = _heights(cell[is_building], cloud.z_m[is_building], shape).ravel()
-    is_under = ~is_building & (cloud.z_m < roof_m[cell] - MIN_HEIGHT_M)
-    transform = Affine(cell_m, 0, first[0] * cell_m, 0, cell_m, first[1] * cell_m)
+    is_under = ~is_building & (cloud.z_m < raster.height_m.ravel()[raster.cell] - MIN_HEIGHT_M)
     numbered = ((outline, number) for number, outline in enumerate(shapes, start=1))
-    number = rasterio.features.rasterize(numbered, shape, transform=transform, dtype=np.int32).ravel()
+    number = rasterio.features.rasterize(
+        numbered, raster.block.shape, transform=raster.transform, dtype=np.int32
+    ).ravel()
     under, all_cells = (
-        np.bincount(number[np.unique(cell[chosen])], minlength=len(shapes) + 1)[1:]
+        np.bincount(number[np.unique(raster.cell[chosen])], minlength=len(shapes) + 1)[1:]
         for chosen in (is_under, is_under | is_building)
     )
     return under > _MOST_CELLS * all_cells
-
-
-def _cells(
-    cloud: Cloud, settings: Outlines
-) -> tuple[float, float, tuple[int, int], tuple[int, int], np.ndarray]:
-    """(building points per m2, size of cells in metres, first column and row, shape of the raster, cell of each point).
-
-    Two empty cells are around the points.
-    """
-    is_building = cloud.classification == BUILDING_CLASS
-    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
-    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
-    column = np.floor(cloud.x_m / cell_m).astype(np.int64)
-    row = np.floor(cloud.y_m / cell_m).astype(np.int64)
-    first = int(column.min()) - 2, int(row.min()) - 2
-    column, row = column - first[0], row - first[1]
-    shape = int(row.max()) + 3, int(column.max()) + 3
-    return density, float(cell_m), first, shape, row * shape[1] + column
 
 
 def _density(x_m: np.ndarray, y_m: np.ndarray) -> float:
@@ -281,9 +282,9 @@ def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
 
 def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple[int, shapely.Polygon]]:
     """(label, polygon along the edges of its cells), in the order of the labels, without small courtyards."""
-    transform = Affine(raster.cell_m, 0, raster.origin_m[0], 0, raster.cell_m, raster.origin_m[1])
     result = []
-    for shape, value in rasterio.features.shapes(label, mask=label > 0, connectivity=4, transform=transform):
+    found = rasterio.features.shapes(label, mask=label > 0, connectivity=4, transform=raster.transform)
+    for shape, value in found:
         exterior, *holes = [shapely.LinearRing(ring) for ring in shape["coordinates"]]
         holes = [hole for hole in holes if shapely.Polygon(hole).area >= min_hole_m2]
         result.append((int(value), shapely.Polygon(exterior, holes)))
