@@ -63,15 +63,17 @@ def arrange(
     rings: Sequence[np.ndarray], lines: Sequence[Line], max_num_places: float = np.inf
 ) -> Arrangement:
     """The cells of a footprint. Raises :class:`TooManyPlacesError`."""
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    shapely.prepare(polygon)
+    low, high = np.array(polygon.bounds).reshape(2, 2)
+    far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
+    # those that end before the footprint are of roofs around it
+    lines = [line for line in lines if line.low_m < far_m and line.high_m > -far_m]
     own_lines = [line for line, _ in edges_of(rings)]
     all_lines = [*own_lines, *lines]
     # an edge of the footprint and what goes on beyond it are one line
     first: dict[tuple[float, ...], int] = {}
     same = np.array([first.setdefault((*each.normal, each.offset_m), k) for k, each in enumerate(all_lines)])
-    polygon = shapely.Polygon(rings[0], rings[1:])
-    shapely.prepare(polygon)
-    low, high = np.array(polygon.bounds).reshape(2, 2)
-    far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
     place, link, line = _pieces(np.concatenate([edge_ends(rings), ends_of(lines, far_m)]) / GRID_M)
     if len(place) > max_num_places:
         raise TooManyPlacesError

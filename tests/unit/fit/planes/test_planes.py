@@ -328,6 +328,13 @@ def cells_by_geos(rings: list[np.ndarray], lines: list[Line]) -> np.ndarray:
     return cells[shapely.contains(polygon, shapely.point_on_surface(cells))]
 
 
+@pytest.mark.filterwarnings("error")
+def test_lines_of_roofs_around_divide_no_footprint() -> None:
+    square = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
+    beyond = [Line(np.array([1.0, 0.0]), 5.0, 200.0, 210.0), Line(np.array([0.0, 1.0]), 5.0, -300.0, -200.0)]
+    assert len(arrange([square], beyond).area_m2) == 1
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_cells_are_those_of_geos(seed: int) -> None:
     """Of lines through common points, along edges, askew by a hair, and of some that end within the footprint, around
