@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -129,11 +128,12 @@ def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
     Of a file with the bounding boxes in a covering column, as IGN's files are, only the row groups that intersect
     them are read.
     """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    empty = BytesIO()
+    empty = pa.BufferOutputStream()
     pq.write_table(pq.read_schema(path).empty_table(), empty)
-    window = _window(path, bounds, crs, gpd.read_parquet(empty).crs)
+    window = _window(path, bounds, crs, gpd.read_parquet(pa.BufferReader(empty.getvalue())).crs)
     try:
         return gpd.read_parquet(path, bbox=window)
     except ValueError as error:

@@ -13,7 +13,6 @@ import os
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -236,9 +235,10 @@ def write_geoparquet(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    buffer = BytesIO()
+    # a buffer of Python aborts the process if threads of Arrow let go of it while Python ends (apache/arrow#34314)
+    buffer = pa.BufferOutputStream()
     frame.to_parquet(buffer)
-    table = pq.read_table(buffer)
+    table = pq.read_table(pa.BufferReader(buffer.getvalue()))
     if schema is not None and not table.num_rows:
         for field in schema:
             table = table.set_column(table.column_names.index(field.name), field, pa.array([], field.type))

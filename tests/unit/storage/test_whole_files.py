@@ -1,6 +1,7 @@
 """Files are complete or absent, and hold their provenance."""
 
 import errno
+import io
 import os
 
 import geopandas as gpd
@@ -10,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 import shapely
 
+from p2wss.fetching.folder import read_footprint_window
+from p2wss.footprints.vector_files import read_attributes, read_vector
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.columns import field
@@ -105,3 +108,30 @@ def test_a_scene_has_the_metadata_of_p2wss_and_of_geoparquet(tmp_path):
         90,
         30,
     ]
+
+
+def test_arrow_reads_no_file_of_python(tmp_path, monkeypatch):
+    """Its threads may let go of one when Python ends already, which aborts the process after all is done."""
+    sources = []
+
+    def seen(function, place):
+        def called(*args, **options):
+            sources.append(args[place])
+            return function(*args, **options)
+
+        return called
+
+    monkeypatch.setattr(pq.ParquetFile, "__init__", seen(pq.ParquetFile.__init__, 1))
+    monkeypatch.setattr(pq.ParquetDataset, "__init__", seen(pq.ParquetDataset.__init__, 1))
+    monkeypatch.setattr(pq, "read_table", seen(pq.read_table, 0))
+    path, box = tmp_path / "a.parquet", shapely.box(0, 0, 9, 9)
+    frame = gpd.GeoDataFrame({"id": ["a"]}, geometry=[box], crs="EPSG:2154")
+    for use in (
+        lambda: files.write_geoparquet(path, frame, {}),
+        lambda: read_vector(path),
+        lambda: read_attributes(path, ("id",)),
+        lambda: read_footprint_window(path, "", box.bounds, "EPSG:2154"),
+    ):
+        sources.clear()
+        use()
+        assert sources and not any(isinstance(each, io.BytesIO | io.BufferedReader) for each in sources)
