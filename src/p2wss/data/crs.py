@@ -229,6 +229,20 @@ def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     return ""
 
 
+def doubtful_order(crs: pyproj.CRS, bounds: Bounds) -> str:
+    """Where coordinates are, if nothing but the place would tell that they are northings before eastings, as their CRS
+    has them: if they are in its area of use in either order; else ""."""
+    flat, (x, y) = horizontal(crs), ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
+    is_north_first = flat.axis_info[0].direction == "north" and flat.axis_info[1].direction == "east"
+    if not (is_north_first and is_plausible(crs, (x, y)) and is_plausible(crs, (y, x))):
+        return ""
+    longitude, latitude = in_degrees(flat, x, y)
+    return (
+        f"is at latitude {latitude:.2f}, longitude {longitude:.2f}; if that is another place, x and y are swapped, and"
+        " the buildings would be mirrored"
+    )
+
+
 def parsed_crs(stated: str, where: str) -> pyproj.CRS:
     """The CRS that a user states. where: for the :class:`InputError` that there is no such CRS."""
     try:

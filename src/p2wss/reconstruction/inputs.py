@@ -17,7 +17,7 @@ import shapely
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
-from p2wss.data.crs import MetricCrs, check_crs, common_crs, metric_crs, odd_place, same_crs
+from p2wss.data.crs import MetricCrs, check_crs, common_crs, doubtful_order, metric_crs, odd_place, same_crs
 from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet, class_set
 from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
@@ -139,6 +139,8 @@ def check_inputs(
     source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
     if header.bounds is not None and (doubt := odd_place(source, header.bounds)):
         log.warning("warning: %s: %s", header.path, doubt)
+    if header.bounds is not None and (place := doubtful_order(source, header.bounds)):
+        log.info("note: %s: %s", header.path, place)
     metric, note_of_units = _metric(source, headers, points, config.reconstruct.height_unit)
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)

@@ -14,7 +14,7 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.crs import MetricCrs, common_crs, metric_crs, odd_place, reprojected
+from p2wss.data.crs import MetricCrs, common_crs, doubtful_order, metric_crs, odd_place, reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.storage.errors import InputError
 
@@ -257,3 +257,20 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
 def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y: float, words: str) -> None:
     doubt = odd_place(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
     assert words in doubt and bool(doubt) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("epsg", "x", "y", "words"),
+    [
+        (3035, 3_934_189, 3_226_089, "is at latitude 52.01, longitude 4.36; if"),
+        (3035, 3_226_089, 3_934_189, "latitude 57."),
+        (4326, 52.01, 4.36, "is at latitude 4.36, longitude 52.01; if"),
+        # swapped, they would be elsewhere; and eastings are first
+        (31467, 3_450_000, 5_530_000, ""),
+        (28992, 85_000, 447_000, ""),
+        (3857, 485_000, 6_800_000, ""),
+    ],
+)
+def test_where_only_the_place_tells_the_order_of_the_axes(epsg: int, x: float, y: float, words: str) -> None:
+    place = doubtful_order(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
+    assert words in place and bool(place) == bool(words)
