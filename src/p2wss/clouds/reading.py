@@ -113,6 +113,7 @@ def list_clouds(paths: Sequence[Path]) -> list[Path]:
 def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
     """The headers of all files. Raises :class:`InputError` if a file is broken, or if two have different CRSs."""
     headers: list[CloudHeader] = []
+    steps: dict[int, tuple[CloudHeader, np.ndarray]] = {}
     for path in paths:
         with open_cloud(path) as reader:
             header = reader.header
@@ -123,11 +124,26 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
         num_held = _num_held(header, path.stat().st_size)
         if num_held > count:
             doubts += (f"the header states {count:,} points of {num_held:,}; the others are not read",)
-        headers.append(
-            CloudHeader(path, count, stated.crs, bounds if has_bounds else None, stated.heights, doubts)
-        )
+        known = CloudHeader(path, count, stated.crs, bounds if has_bounds else None, stated.heights, doubts)
+        twin, step = steps.setdefault(count, (known, header.scales))
+        if _is_rounded(known, twin, header.scales, step):
+            text = (
+                f"has as many points as {twin.path}, in the same bounds, rounded otherwise; if it is a copy, its points"
+                " count twice: omit one of the files"
+            )
+            known = replace(known, doubts=(*doubts, text))
+        headers.append(known)
     common_header(headers)
     return headers
+
+
+def _is_rounded(first: CloudHeader, second: CloudHeader, step: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two files hold the same points in other steps (x, y and z), by their headers; :func:`repeated` knows the
+    others."""
+    if first.bounds is None or second.bounds is None or np.array_equal(step, other):
+        return False
+    apart = np.abs(np.subtract(first.bounds, second.bounds))
+    return bool(apart.max() <= 1.01 * max(step.max(), other.max()))
 
 
 def _num_held(header: laspy.LasHeader, size: int) -> int:

@@ -47,8 +47,10 @@ def place(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def reconstructed(place: Path, *options: str, stem: str = "cloud") -> gpd.GeoDataFrame:
-    files = [str(place / name) for name in ("cloud.laz", "footprints.gpkg", "out")]
+def reconstructed(
+    place: Path, *options: str, stem: str = "cloud", cloud: str = "cloud.laz"
+) -> gpd.GeoDataFrame:
+    files = [str(place / name) for name in (cloud, "footprints.gpkg", "out")]
     options = ("--model", "none", "--format", "gpkg,geoparquet,cityjsonseq,report", *options)
     assert cli.main(["reconstruct", *files, *options]) == 0
     return gpd.read_file(place / "out" / f"{stem}.gpkg", layer="buildings").set_index("building_id")
@@ -104,6 +106,21 @@ def test_a_tile_gives_the_same_as_the_whole(place: Path) -> None:
         assert part.geometry.geom_equals_exact(expected.geometry, 0).all()
         assert part.drop(columns="geometry").equals(expected.drop(columns="geometry"))
         assert part["party_wall_area_m2"].max() > 40
+
+
+def test_points_of_overlapping_files_count_once_in_a_tile_as_in_the_whole(place: Path) -> None:
+    alone = reconstructed(place)
+    las = laspy.read(place / "cloud.laz")
+    (place / "tiles").mkdir()
+    for name, inside in (("a", las.x < 653015), ("b", las.x > 652985)):
+        part = laspy.LasData(las.header, las.points[inside])
+        part.write(place / "tiles" / f"{name}.laz")
+    whole = reconstructed(place, stem="tiles", cloud="tiles")
+    west = reconstructed(place, "--tile", "0652_6862", stem="0652_6862", cloud="tiles")
+    east = reconstructed(place, "--tile", "0653_6862", stem="0653_6862", cloud="tiles")
+    assert whole["num_points"].equals(alone["num_points"]) and len(west) == 1 and len(east) == 2
+    for part in (west, east):
+        assert part.to_wkt().equals(whole.loc[part.index].to_wkt())
 
 
 def test_batches_and_threads_change_no_byte(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

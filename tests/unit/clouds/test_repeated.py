@@ -9,7 +9,7 @@ import laspy
 import numpy as np
 import pytest
 
-from p2wss.clouds.reading import list_clouds, read_clouds, read_in_chunks
+from p2wss.clouds.reading import list_clouds, read_clouds, read_headers, read_in_chunks
 from p2wss.reconstruction.points.cloud_index import CELL_M, CloudIndex
 
 # on the border of cells of the index; a little less with the offset of the second file, by the last bits
@@ -77,3 +77,16 @@ def test_neighbours_that_touch_and_a_file_named_twice(
     with caplog.at_level(logging.INFO):
         assert len(read_clouds(list_clouds([first, third, first]))) == 4300
     assert not caplog.text
+
+
+def test_a_copy_with_coarser_coordinates_is_told(files: tuple[list[Path], int], tmp_path: Path) -> None:
+    paths, _ = files
+    las = laspy.read(paths[0])
+    copies = []
+    for scale in (0.001, 0.01):
+        las.change_scaling(scales=np.full(3, scale), offsets=np.full(3, 30.0))
+        copies.append(tmp_path / f"{scale}.laz")
+        las.write(copies[-1])
+    *others, coarse = read_headers([*paths, *copies])
+    (doubt,) = coarse.doubts
+    assert f"as many points as {paths[0]}" in doubt and not any(each.doubts for each in others)
