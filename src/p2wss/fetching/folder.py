@@ -23,6 +23,7 @@ from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import read_header
+from p2wss.footprints.vector_files import decoded
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_files import bounds_of
 from p2wss.storage.log_lines import log
@@ -104,14 +105,8 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
                 )
             name = layer if layer in layers else layers[0]
             window = _window(path, bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
-            # IGN's shapefiles are in UTF-8 but lack the .cpg file that would state it
-            encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
-            try:
-                frame = pyogrio.read_dataframe(
-                    path, layer=name, bbox=window, encoding=encoding, fid_as_index=True
-                )
-            except UnicodeDecodeError:
-                frame = pyogrio.read_dataframe(path, layer=name, bbox=window, fid_as_index=True)
+            options = {"layer": name, "bbox": window, "fid_as_index": True}
+            frame = decoded(path, pyogrio.read_dataframe, **options)
     region_crs = horizontal(pyproj.CRS.from_user_input(crs))
     if frame.crs is None:
         return frame

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyogrio
@@ -23,6 +23,7 @@ from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features, columns_of
 from p2wss.storage.log_lines import log
 
+T = TypeVar("T")
 # WKB types that shapely cannot read, and those with the same bytes that it can
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
 # the phrase of messages
@@ -69,9 +70,8 @@ def read_vector(
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
-        meta, number, wkb, values = pyogrio.raw.read(
-            path, layer=chosen, bbox=bounds, return_fids=True, datetime_as_string=True, **_options(path)
-        )
+        options = {"layer": chosen, "bbox": bounds, "return_fids": True, "datetime_as_string": True}
+        meta, number, wkb, values = decoded(path, pyogrio.raw.read, **options, **_options(path))
     if wkb is None:
         raise InputError(f"{path}: {no_geometry(path)}")
     with reading(path, _KIND):
@@ -89,6 +89,21 @@ def read_vector(
     return features.take(is_building), number[is_building]
 
 
+def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
+    """What a function of pyogrio with ``encoding`` makes of a file. Text of a shapefile without .cpg is UTF-8, as IGN's
+    is, if it can be; where it cannot be what a .cpg states, it is taken for ISO-8859-1, with a warning."""
+    if Path(path).suffix.lower() != ".shp":
+        return read(path, **options)
+    states = Path(path).with_suffix(".cpg").exists()
+    try:
+        return read(path, encoding=None if states else "utf-8", **options)
+    except UnicodeDecodeError:
+        if states:
+            text = "warning: %s: its text is not in the encoding that its .cpg states; ISO-8859-1 is taken"
+            log.warning(text, path)
+        return read(path, encoding="ISO-8859-1" if states else None, **options)
+
+
 @contextmanager
 def _opening(path: str | Path) -> Iterator[None]:
     """Any error of the block is an :class:`InputError`; of a format that is not known, with what to do."""
@@ -100,7 +115,12 @@ def _opening(path: str | Path) -> Iterator[None]:
         except pyogrio.errors.DataSourceError as error:
             if "not recognized" not in str(error):
                 raise
-            raise InputError(f"{path}: not {_KIND}; save it as GeoPackage, with QGIS for instance") from error
+            remedy = (
+                "unpack it"
+                if Path(path).suffix.lower() == ".zip"
+                else "save it as GeoPackage, with QGIS for instance"
+            )
+            raise InputError(f"{path}: not {_KIND}; {remedy}") from error
 
 
 def _options(path: str | Path) -> dict[str, str]:
@@ -162,7 +182,7 @@ def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
         with _opening(path):
             # several layers are reported when the file is read
             warnings.simplefilter("ignore")
-            info = dict(pyogrio.read_info(path, layer=chosen, **_options(path)))
+            info = dict(decoded(path, pyogrio.read_info, layer=chosen, **_options(path)))
     return info | {"layer": chosen, "other_layers": others}
 
 
@@ -200,8 +220,9 @@ def _attributes(
 
         frame = pd.read_parquet(path, columns=list(columns))
         return columns_of(frame), np.arange(len(frame))
-    meta, number, _, values = pyogrio.raw.read(
+    meta, number, _, values = decoded(
         path,
+        pyogrio.raw.read,
         layer=_layer(path, layer)[0],
         columns=list(columns),
         read_geometry=False,

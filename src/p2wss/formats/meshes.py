@@ -7,7 +7,7 @@ that is closed in memory is closed in the file.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -137,9 +137,9 @@ def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> byt
     if library is not None:
         lines.append(f"mtllib {library}")
     first = 1
-    for body in bodies:
+    for body, name in zip(bodies, _distinct(_word(body.name) for body in bodies), strict=True):
         mesh = body.mesh
-        lines.append(f"o {_word(body.name)}")
+        lines.append(f"o {name}")
         lines += [f"# {name} {value:g}" for name, value in body.attributes.items()]
         lines += [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         material = None
@@ -220,14 +220,18 @@ def file_names(names: Sequence[str]) -> list[str]:
     >>> file_names(["A/1", "a_1", "..", "Ö 2"])
     ['A_1', 'a_1-2', '_', 'Ö_2']
     """
+    return _distinct([re.sub(r"[^\w.-]", "_", name).strip(".")[:100] or "_" for name in names], str.lower)
+
+
+def _distinct(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
+    """The names; those with which one before is the ``same`` end in their number."""
     result: list[str] = []
     used: set[str] = set()
     for number, name in enumerate(names, 1):
-        plain = re.sub(r"[^\w.-]", "_", name).strip(".")[:100] or "_"
-        while plain.lower() in used:
-            plain = f"{plain}-{number}"
-        used.add(plain.lower())
-        result.append(plain)
+        while same(name) in used:
+            name = f"{name}-{number}"
+        used.add(same(name))
+        result.append(name)
     return result
 
 

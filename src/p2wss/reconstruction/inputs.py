@@ -27,7 +27,7 @@ from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import with_heights
+from p2wss.storage.las_crs import is_place, with_heights
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -349,4 +349,5 @@ def _check_footprints(
     for column in filter(None, columns):
         if column not in fields:
             raise InputError(f"{name}: has no column {column}; its columns are {', '.join(fields) or 'none'}")
-    return None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])
+    crs = None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])
+    return crs if crs is not None and is_place(crs) else None

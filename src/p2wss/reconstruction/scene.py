@@ -650,7 +650,9 @@ def _none_usable(rows: Features, inputs: Inputs) -> str:
     reasons_text = "; ".join(
         f"{reason}: {count} ({reasons.MEANINGS.get(reason, reason)})" for reason, count in counts
     )
-    return f"{inputs.footprints_name}: none of its {len(rows)} footprints can be built: {reasons_text}"
+    words = f"{inputs.footprints_name}: none of its {len(rows)} footprints can be built: {reasons_text}"
+    are_degrees = (np.abs([rows["centre_x_m"], rows["centre_y_m"]]) <= [[180], [90]]).all()
+    return f"{words}; their coordinates look like degrees: save them with their CRS" if are_degrees else words
 
 
 def _no_overlap(num_footprints: int, inputs: Inputs, num_points: int = 0) -> str:
@@ -661,7 +663,7 @@ def _no_overlap(num_footprints: int, inputs: Inputs, num_points: int = 0) -> str
         )
     return (
         f"{inputs.headers[0].path}: no point near any of the {num_footprints} footprints of {inputs.footprints_name}:"
-        " do they cover the same place, in the same CRS?"
+        " do they cover the same place, in the same CRS? Noise, withheld points and ignored classes do not count"
     )
 
 

@@ -28,6 +28,8 @@ EXTRAS = {
     "snakemake": "workflow",
     "folium": "map",
 }
+# options whose settings have other names
+_SETTINGS = {"layer": "footprint_layer"}
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -80,7 +82,7 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
 
     def word(match: re.Match[str]) -> str:
         name = match[1].replace("-", "_")
-        return f"{name}=" if name in parameters else f"reconstruct.{name}"
+        return f"{name}=" if name in parameters else f"reconstruct.{_SETTINGS.get(name, name)}"
 
     def reword(record: logging.LogRecord) -> bool:
         record.msg, record.args = _OPTION.sub(word, record.getMessage()), ()

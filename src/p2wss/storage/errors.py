@@ -42,6 +42,8 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
 
 def _reason(error: BaseException) -> str:
     """An error of a library in one line."""
+    if "previous exception" in str(error) and error.__cause__ is not None:  # of rasterio: the reason is there
+        return _reason(error.__cause__)
     text = " ".join(str(error).split())[:_MAX_REASON]
     if isinstance(error, RecursionError):
         return "nested too deeply"

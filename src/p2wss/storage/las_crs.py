@@ -112,6 +112,9 @@ def _of_wkt(records: Iterable[laspy.vlrs.vlr.BaseVLR], doubts: list[str]) -> Ite
         except pyproj.exceptions.CRSError as error:
             doubts.append(f"its WKT is not used: {error}")
             continue
+        if not is_place(crs):
+            doubts.append(f"its CRS, {crs.name}, is not used: it is neither projected nor in degrees")
+            continue
         # PROJ reads no further than to the end of the first CRS
         beside = _VERTICAL_WKT.search(record.string)
         if vertical_part(crs) is None and beside is not None:
@@ -220,6 +223,12 @@ def meridian_deg(flat: pyproj.CRS) -> float:
     return (
         0.0 if meridian is None else float(np.rad2deg(meridian.longitude * meridian.unit_conversion_factor))
     )
+
+
+def is_place(crs: pyproj.CRS) -> bool:
+    """Whether x and y are a place on the Earth; those of local (engineering) CRSs are not."""
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs
+    return bool(flat.is_projected or flat.is_geographic)
 
 
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import struct
 import tempfile
@@ -71,6 +72,9 @@ def check_header(path: str | Path) -> tuple[int, int, int] | None:
             raise ValueError(
                 f"its header states {num_vlrs} variable length records, which do not fit into the file"
             )
+        steps = struct.unpack_from("<6d", head, 131)  # and offsets
+        if not all(map(math.isfinite, steps)) or 0 in steps[:3]:
+            raise ValueError(f"its header states coordinates in steps of {steps[:3]} from {steps[3:]}")
         if head[25] >= 4 and len(head) == _HEADER_1_4:
             evlrs_at, num_evlrs, num_points = struct.unpack_from("<QIQ", head, 235)
             for _ in range(num_evlrs):  # behind the points: a file that is truncated lacks some

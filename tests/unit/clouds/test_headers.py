@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from p2wss.clouds.reading import read_headers
+from p2wss.storage.errors import InputError
 
 
 @pytest.mark.parametrize(("share", "is_told"), [(0.5, True), (1.0, False)])
@@ -27,3 +28,21 @@ def test_a_header_that_states_fewer_points_than_the_file_holds_is_told(
     (header,) = read_headers([path])
     told = [each for each in header.doubts if "1,001" in each and "500" in each]
     assert len(told) == is_told and header.num_points == 1000 * share
+
+
+@pytest.mark.parametrize("number", [0.0, np.nan, np.inf])
+@pytest.mark.parametrize("place", [131, 155])
+def test_steps_and_offsets_that_cannot_be_are_an_error(tmp_path: Path, place: int, number: float) -> None:
+    cloud = laspy.create(point_format=1, file_version="1.2")
+    cloud.x, cloud.y, cloud.z = np.arange(30.0).reshape(3, 10)
+    path = tmp_path / "cloud.las"
+    cloud.write(path)
+    content = bytearray(path.read_bytes())
+    # LAS 1.2, table 1: scale factors and offsets of x, y and z
+    struct.pack_into("<d", content, place + 8, number)
+    path.write_bytes(content)
+    if (place, number) == (155, 0.0):
+        assert read_headers([path])[0].num_points == 10
+        return
+    with pytest.raises(InputError, match="coordinates in steps of"):
+        read_headers([path])

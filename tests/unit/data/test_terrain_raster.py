@@ -6,6 +6,7 @@ import control_houses as houses
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from rasterio.transform import Affine, from_origin
 from scipy.interpolate import RegularGridInterpolator
 
@@ -156,3 +157,12 @@ def test_a_point_raster_is_where_its_points_are(tmp_path: Path) -> None:
         raster.update_tags(AREA_OR_POINT="Point")
     read, _ = read_terrain(path)
     assert (read.x_min_m, read.y_max_m) == (652_000 - 60, 6_862_000 + 60)
+
+
+def test_a_missing_source_of_a_vrt_is_named(tmp_path: Path) -> None:
+    terrain = Terrain(np.ones((4, 4), np.float32), 0, 4, 1)
+    write_terrain(tmp_path / "t.tif", terrain, "EPSG:2154", {})
+    rasterio.shutil.copy(tmp_path / "t.tif", tmp_path / "t.vrt", driver="VRT")
+    (tmp_path / "t.tif").unlink()
+    with pytest.raises(InputError, match=r"t\.vrt: .*t\.tif: No such file"):
+        read_terrain(tmp_path / "t.vrt")

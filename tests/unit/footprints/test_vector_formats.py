@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -119,3 +120,30 @@ def test_files_that_cannot_be_read_say_what_to_do(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=words) as error:
             read_footprints(tmp_path / name)
         assert "\n" not in str(error.value) and name in str(error.value)
+
+
+@pytest.mark.parametrize("stated", [None, "UTF-8", "ISO-8859-1"])
+@pytest.mark.parametrize("written", ["UTF-8", "ISO-8859-1"])
+def test_text_of_shapefiles_whatever_their_cpg(
+    written: str, stated: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, frame = tmp_path / "f.shp", houses.footprints()
+    frame["id"] = ["Größe", "Ä1"]
+    frame.to_file(path, encoding=written)
+    path.with_suffix(".cpg").unlink()
+    if stated is not None:
+        path.with_suffix(".cpg").write_text(stated)
+    assert layer_info(path)["fields"].tolist() == frame.columns[:-1].tolist()
+    ids = read_footprints(path, id_field="id")["building_id"].tolist()
+    assert (ids == frame["id"].tolist()) == ((written, stated) != ("UTF-8", "ISO-8859-1"))
+    assert ("ISO-8859-1 is taken" in caplog.text) == ((written, stated) == ("ISO-8859-1", "UTF-8"))
+
+
+def test_a_packed_folder_is_to_be_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "f.zip"
+    houses.footprints().to_file(tmp_path / "f.shp")
+    with zipfile.ZipFile(path, "w") as packed:
+        for file in tmp_path.glob("f.[!z]*"):
+            packed.write(file, f"folder/{file.name}")
+    with pytest.raises(InputError, match="unpack it"):
+        read_footprints(path)

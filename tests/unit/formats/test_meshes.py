@@ -283,3 +283,10 @@ def test_loaders_keep_each_mesh_whole(meshes: list[Body], frame: Frame) -> None:
         num_triangles[building_id] = num_triangles.get(building_id, 0) + number
     assert num_triangles == {"a": int((halves == 0).sum()), "b": int((halves == 1).sum())}
     assert tree["materials"][0]["extras"]["edition"] == "ITU-R P.2040-3"
+
+
+def test_objects_in_obj_have_names_of_their_own(meshes: list[Body], frame: Frame) -> None:
+    """Readers join those of one name, and blanks end a name."""
+    bodies = [replace(meshes[0], name=name) for name in ("a b", "a_b", "A B", "a  b")]
+    lines = obj(bodies, frame).decode().splitlines()
+    assert [line for line in lines if line.startswith("o ")] == ["o a_b", "o a_b-2", "o A_B", "o a_b-4"]

@@ -9,6 +9,7 @@ from typing import Any
 import control_houses as houses
 import laspy
 import numpy as np
+import pyproj
 import pytest
 import shapely
 from places import SHARED
@@ -302,3 +303,42 @@ def test_a_cloud_and_a_terrain_in_mercator(tmp_path: Path) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", crs="EPSG:3857")
     here = houses.write_terrain(tmp_path / "t.tif", houses.heights_m().astype(np.float32))
     assert_right(built(cloud, houses.footprints(crs="EPSG:4326"), terrain=here))
+
+
+@pytest.mark.parametrize(
+    "wkt",
+    [
+        'LOCAL_CS["unknown",UNIT["metre",1]]',
+        'ENGCRS["Undefined",EDATUM["a"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]',
+        pyproj.CRS.from_epsg(5709).to_wkt(),
+    ],
+)
+def test_a_crs_that_is_no_place_counts_as_none(
+    wkt: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    footprints = houses.footprints()
+    cloud = houses.write_cloud(tmp_path / "c.laz", stated=houses.header(wkt))
+    assert_right(built(cloud, footprints))
+    assert "is not used: it is neither projected nor in degrees" in caplog.text
+    assert_right(built(cloud, footprints.set_crs(wkt, allow_override=True), crs=footprints.crs))
+    footprints.to_crs(4326).set_crs(None, allow_override=True).to_file(tmp_path / "f.gpkg")
+    with pytest.raises(InputError, match=r"too-small.*look like degrees"):
+        built(cloud, tmp_path / "f.gpkg", crs=footprints.crs)
+
+
+def test_points_that_do_not_count_are_named_where_none_is_left(tmp_path: Path) -> None:
+    cloud = laspy.read(houses.write_cloud(tmp_path / "c.laz"))
+    cloud.withheld = np.ones(len(cloud.x), np.uint8)
+    cloud.write(tmp_path / "c.laz")
+    with pytest.raises(InputError, match="withheld points and ignored classes do not count"):
+        built(tmp_path / "c.laz", houses.footprints())
+
+
+def test_the_setting_of_the_layer_has_its_name_in_python(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("roofs", "others"):
+        houses.footprints().to_file(tmp_path / "f.gpkg", layer=name)
+    with caplog.at_level("INFO"):
+        built(houses.write_cloud(tmp_path / "c.laz"), tmp_path / "f.gpkg")
+    assert "reconstruct.footprint_layer reads another: others" in caplog.text
