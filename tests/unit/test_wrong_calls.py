@@ -150,6 +150,7 @@ def test_what_people_have_works() -> None:
             "the cloud's column Y is not of numbers: could not convert string to float: 'n/a'",
         ),
         ({"ids": "b12"}, "has no building b12"),
+        ({"ids": []}, r"ids: state ids of buildings, not \[\]"),
         ({"bbox": (0, 0, 1)}, r"bbox: state four numbers: x_min, y_min, x_max, y_max, not \(0, 0, 1\)"),
         ({"threads": "2"}, "threads: state a whole number, at least 1, not '2'"),
         ({"threads": 0}, "at least 1"),
@@ -177,3 +178,16 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
     monkeypatch.setitem(sys.modules, "embreex", None)
     with pytest.raises(p2wss.InputError, match=r"needs embreex; type: pip install 'p2wss\[scan\]'"):
         p2wss.scan([p2wss.roof(SQUARE, 5, 45)])
+
+
+@pytest.mark.parametrize(("far_m", "is_told"), [(6_862_000, True), (1000, False)])
+def test_coordinates_that_were_float32_are_told(
+    far_m: float, is_told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    cloud, house = gable_points() + np.array([0, far_m, 0, 0]), shapely.box(0, far_m, 10, far_m + 6)
+    options: dict[str, Any] = {"crs": "EPSG:2154", "model": "none", "progress": False}
+    p2wss.reconstruct(cloud, [house], **options)
+    assert "float32" not in caplog.text
+    short = pd.DataFrame(cloud, columns=["x", "y", "z", "classification"]).astype({"x": "f4", "y": "f4"})
+    p2wss.reconstruct(short, [house], **options)
+    assert ("in whole steps of 0.5, as float32" in caplog.text) == is_told

@@ -30,7 +30,7 @@ def check(path: Path) -> Facts:
     delivered with it.
     """
     try:
-        intact = integrity.is_intact(path)
+        intact = None if path.is_dir() else integrity.is_intact(path)  # a file geodatabase is a folder
         if intact is False:
             result = f"damaged or changed; {integrity.REMEDY}"
         elif intact is None:
@@ -69,13 +69,12 @@ def describe(path: Path) -> Facts:
 
     Raises :class:`InputError` if the file is missing, broken or of an unknown type.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file")
+    if path.is_dir() and path.suffix.lower() != ".gdb":
+        raise InputError(f"{path}: is a folder; name its files, or footprints after it")
     name = path.name.lower()
-    reader = next((read for suffixes, read in _READERS if name.endswith(suffixes)), None)
-    if reader is None:
-        known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
-        raise InputError(f"{path}: unknown type of file; the known types are {known}")
+    reader = next((read for suffixes, read in _READERS if name.endswith(suffixes)), _other)
     with reading(path, f"readable as {Path(name).suffix}, or truncated"):
         facts = {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
     return facts | {"checksum": check(path)["checksum"]}
@@ -147,13 +146,30 @@ def _parquet(path: Path) -> Facts:
     return facts | _provenance(metadata.get(b"p2wss"))
 
 
+def _other(path: Path) -> Facts:
+    """Of a vector file of another type, which GDAL may know."""
+    import pyogrio
+
+    try:
+        pyogrio.list_layers(path)
+    except pyogrio.errors.DataSourceError as error:
+        known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
+        raise InputError(
+            f"{path}: unknown type of file; the known types are {known}, and vector files"
+        ) from error
+    return _vector(path)
+
+
 def _vector(path: Path) -> Facts:
     import pyogrio
+
+    from p2wss.footprints.vector_files import decoded
 
     layers: list[Facts] = []
     info: Facts = {}
     for name in pyogrio.list_layers(path)[:, 0]:
-        info = pyogrio.read_info(path, layer=name, force_feature_count=True, force_total_bounds=True)
+        options = {"layer": name, "force_feature_count": True, "force_total_bounds": True}
+        info = decoded(path, pyogrio.read_info, **options)
         metadata = info["layer_metadata"] or {}
         bounds = info["total_bounds"]
         layers.append(

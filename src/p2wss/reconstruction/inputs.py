@@ -38,6 +38,8 @@ FootprintInput: TypeAlias = (
     "str | Path | gpd.GeoDataFrame | gpd.GeoSeries | shapely.Geometry | Sequence[shapely.Geometry]"
 )
 LineInput: TypeAlias = FootprintInput
+# steps of coordinates that move walls visibly
+_COARSE = 0.1
 # what messages and outputs call data without a file
 _CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
 
@@ -308,6 +310,11 @@ def _in_memory(cloud: CloudInput) -> Cloud:
     if not np.isfinite(points).all() or not ((classes >= 0) & (classes < 256)).all():
         raise InputError("the cloud has coordinates that are not finite, or classes that are not 0 to 255")
     x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
+    short = points[:, :2].astype(np.float32)
+    step = float(np.spacing(np.abs(short).max(initial=0)))
+    if step > _COARSE and (short == points[:, :2]).all():
+        text = "warning: x and y of the cloud are in whole steps of %g, as float32 has them; give them as float64"
+        log.warning(text, step)
     return Cloud(x_m, y_m, z_m, classes.astype(np.uint8), None)
 
 

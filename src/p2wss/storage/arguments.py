@@ -120,6 +120,12 @@ def _names(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else list(map(str, value))
 
 
+def _some_names(value: Any) -> list[str]:
+    if not (names := _names(value)):
+        raise ValueError
+    return names
+
+
 def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
@@ -151,7 +157,7 @@ _CHECKS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "model": _A_PATH,
     "crs": (_one_of(str, Integral, having="to_epsg"), "a CRS, such as EPSG:28992"),
     "config": (_one_of(str, os.PathLike, dict, having="reconstruct"), "a file or sections of the config"),
-    "ids": (_names, "ids of buildings"),
+    "ids": (_some_names, "ids of buildings"),
     "formats": (_names, "names of formats"),
     "name": (_one_of(str), "text"),
     "id_field": (_one_of(str), "the name of a column"),

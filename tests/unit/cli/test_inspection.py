@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import control_houses as houses
 import geopandas as gpd
 import laspy
 import numpy as np
@@ -175,6 +176,16 @@ def test_command(tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "a.xyz").write_text("1 2 3")
     assert main(["inspect", str(tmp_path / "a.xyz")]) == 2
     assert "unknown type of file" in capsys.readouterr().err
+    assert main(["inspect", str(tmp_path)]) == 2
+    assert f"{tmp_path}: is a folder" in capsys.readouterr().err
+
+
+def test_vector_files_of_any_kind(tmp_path: Path) -> None:
+    frame = houses.footprints()
+    for name, driver in {"a.gml": "GML", "a.gdb": "OpenFileGDB", "a.shz": "ESRI Shapefile"}.items():
+        frame.to_file(tmp_path / name, driver=driver)
+        facts = describe(tmp_path / name)
+        assert facts["layers"][0]["num_features"] == 2 and facts["checksum"].startswith("none stated")
 
 
 def test_a_reader_that_stops_ends_the_command_without_a_traceback() -> None:
