@@ -223,7 +223,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     """The whole cloud, and the outlines of its buildings as footprints."""
     # compiled code, which is slow to load
     from p2wss.reconstruction.points import unclassified
-    from p2wss.reconstruction.tracing.outlines import outline_features
+    from p2wss.reconstruction.tracing.outlines import features_of, outlines_and_crowns, with_plants
 
     classes = class_set(**config.region.classes.model_dump())
     cloud = read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
@@ -231,7 +231,8 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     cloud, warnings = unclassified.with_classes(cloud)
     for warning in warnings:
         log.warning("warning: %s", warning)
-    return cloud, outline_features(cloud, config.reconstruct.outlines, inputs.crs, is_classified)
+    shapes, crowns = outlines_and_crowns(cloud, config.reconstruct.outlines, is_classified)
+    return with_plants(cloud, crowns), features_of(shapes, inputs.crs)
 
 
 def output_stem(cloud: Path) -> str:

@@ -157,6 +157,22 @@ def test_crowns_that_pulses_pass_through_are_left_out(caplog: pytest.LogCaptureF
     assert len(p2wss.outlines(replace(cloud, classification=building))) == 2
 
 
+def test_and_are_plants() -> None:
+    roof, crown = shapely.box(0, 0, 10, 8), shapely.box(20, 0, 27, 7)
+    config = {"reconstruct": {"vegetation": True}}
+    cloud = under(scene((roof, 8.0), (crown, 9.0)), crown, 0.4)
+    with p2wss.reconstruct(cloud, None, config=config, model="none", progress=False) as result:
+        (house,) = result.values()
+        plants = [shapely.MultiPoint(plant.vertex_m[:, :2]).convex_hull for plant in result.plants]
+        top_z_m = [plant.vertex_m[:, 2].max() for plant in result.plants]
+    assert house.footprint.intersection(placed(roof)).area >= 0.9 * roof.area
+    # as high as the planar points, not as those under them
+    assert top_z_m == pytest.approx([9.0] * len(plants), abs=0.2)
+    covered = shapely.union_all(plants)
+    assert covered.intersection(placed(crown)).area >= 0.7 * crown.area
+    assert not covered.intersects(placed(roof).buffer(-1))
+
+
 def test_walls_with_many_points_do_not_make_a_crown() -> None:
     """More points are under this roof than on it, but under its edges only."""
     roof, count = shapely.box(0, 0, 10, 8), 8000

@@ -9,7 +9,7 @@ that neighbours share bit-identical walls. Outlines are those of roofs, which ov
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyproj
@@ -22,7 +22,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS, has_class
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS, WATER_CLASS, has_class
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.reconstruction.points.unclassified import filled
 from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
@@ -85,6 +85,13 @@ def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np
     is_classified: whether class building is the producer's; else outlines of crowns are left out, and a warning says
     how many. Raises :class:`InputError`, too, if all are of crowns.
     """
+    return outlines_and_crowns(cloud, settings, is_classified)[0]
+
+
+def outlines_and_crowns(
+    cloud: Cloud, settings: Outlines, is_classified: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """(what :func:`outlines` returns, the polygons that are left out as crowns)."""
     if not len(cloud):
         raise InputError("no outlines: the cloud has no points")
     is_building = cloud.classification == BUILDING_CLASS
@@ -107,6 +114,7 @@ def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np
         points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
         result += _of_block(trace, points, raster, settings)
     shapes = np.array(result, dtype=object)
+    is_crown = np.zeros(len(shapes), bool)
     if not is_classified:
         is_crown = crowns(cloud, shapes, raster)
         if is_crown.all():
@@ -118,16 +126,27 @@ def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np
             log.warning(
                 "warning: outlines left out, as pulses pass through them as through trees: %d", is_crown.sum()
             )
-        shapes = shapes[~is_crown]
-    bounds = shapely.bounds(shapes)
-    return shapes[np.lexsort((bounds[:, 1], bounds[:, 0]))]
+    bounds = shapely.bounds(shapes[~is_crown])
+    return shapes[~is_crown][np.lexsort((bounds[:, 1], bounds[:, 0]))], shapes[is_crown]
+
+
+def with_plants(cloud: Cloud, crowns: np.ndarray) -> Cloud:
+    """The cloud with points of class vegetation in place of those of class building in polygons of crowns."""
+    inside, _, _ = crop_points(cloud.x_m, cloud.y_m, polygon_arrays.to_polygons(crowns), 0.0)
+    classes = cloud.classification.copy()
+    classes[inside[classes[inside] == BUILDING_CLASS]] = VEGETATION_CLASS
+    return replace(cloud, classification=classes)
 
 
 def outline_features(
     cloud: Cloud, settings: Outlines, crs: pyproj.CRS, is_classified: bool = True
 ) -> Features:
-    """The outlines as footprints with the column ``building_id``, numbers from 1 as text; as :func:`outlines`."""
-    shapes = outlines(cloud, settings, is_classified)
+    """The outlines as footprints, as :func:`features_of`."""
+    return features_of(outlines(cloud, settings, is_classified), crs)
+
+
+def features_of(shapes: np.ndarray, crs: pyproj.CRS) -> Features:
+    """Outlines as footprints with the column ``building_id``, numbers from 1 as text."""
     ids = np.array([str(number + 1) for number in range(len(shapes))], object)
     return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
 
