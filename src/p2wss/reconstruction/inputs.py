@@ -27,7 +27,7 @@ from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import is_place, with_heights
+from p2wss.storage.las_crs import UNKNOWN, is_place, unit_m, with_heights
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -38,6 +38,8 @@ FootprintInput: TypeAlias = (
     "str | Path | gpd.GeoDataFrame | gpd.GeoSeries | shapely.Geometry | Sequence[shapely.Geometry]"
 )
 LineInput: TypeAlias = FootprintInput
+# international and survey feet are the same here
+_SAME_UNIT = 1e-5
 # steps of coordinates that move walls visibly
 _COARSE = 0.1
 # what messages and outputs call data without a file
@@ -168,11 +170,30 @@ def _metric(
     source: pyproj.CRS, headers: Sequence[CloudHeader], points: Cloud | None, unit: str
 ) -> tuple[MetricCrs, str | None]:
     """The CRS of a run on these clouds in ``source``, which may state their heights apart, and a note if it differs."""
+    _check_heights(headers, unit)
     heights = next((each.heights for each in headers if each.heights is not None), None)
     if heights is not None:
         source = with_heights(source, heights)
     bounds = headers[0].bounds if points is not None else reading.extent(headers)
     return metric_crs(source, bounds, str(headers[0].path), UNITS_M.get(unit))
+
+
+def _check_heights(headers: Sequence[CloudHeader], unit: str) -> None:
+    """Raise :class:`InputError` if files state heights in different units, of which ``unit``, that the user states, is
+    none; warn if they state different datums."""
+    stated = {each.heights: each.path for each in reversed(headers) if each.heights is not None}
+    if not stated:
+        return
+    *others, (first, of_first) = stated.items()
+    for heights, path in others:
+        words = (
+            f"{path}: heights are in {heights.name}, in units of {unit_m(heights):.10g} m, but those of {of_first} in"
+            f" {first.name}, in units of {unit_m(first):.10g} m"
+        )
+        if not unit and not np.isclose(unit_m(heights), unit_m(first), rtol=_SAME_UNIT):
+            raise InputError(f"{words}; convert one of them, or state --height-unit if one is wrong")
+        if UNKNOWN not in (heights.name, first.name) and heights.name != first.name:
+            log.warning("warning: %s; none is converted", words)
 
 
 def read_cloud(

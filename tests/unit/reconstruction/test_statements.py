@@ -342,3 +342,28 @@ def test_the_setting_of_the_layer_has_its_name_in_python(
     with caplog.at_level("INFO"):
         built(houses.write_cloud(tmp_path / "c.laz"), tmp_path / "f.gpkg")
     assert "reconstruct.footprint_layer reads another: others" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("heights", "length_m", "is_other"),
+    [(6360, houses.SURVEY_FOOT_M, True), (5773, 1.0, True), (5703, 1.0, False)],
+)
+def test_files_that_state_different_heights(
+    heights: int, length_m: float, is_other: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    paths, middle = [tmp_path / "west.laz", tmp_path / "east.laz"], houses.PLACES[UTM][0] + 10
+    for path, vertical, unit_m in zip(paths, (5703, heights), (1.0, length_m), strict=True):
+        stated = houses.header(pyproj.CRS(f"{UTM}+{vertical}").to_wkt())
+        cloud = laspy.read(houses.write_cloud(path, UTM, height_unit_m=unit_m, stated=stated))
+        inside = (cloud.x < middle) == (path == paths[0])
+        laspy.LasData(cloud.header, cloud.points[inside]).write(path)
+    options = {"config": {"reconstruct": {"registration": "never", "height_unit": "m"}}}
+    for clouds in (paths, paths[::-1]):
+        caplog.clear()
+        if length_m == 1.0:
+            assert_right(built(clouds, houses.footprints(UTM)))
+            assert ("none is converted" in caplog.text) == is_other
+            continue
+        with pytest.raises(InputError, match=r"convert one of them, or state reconstruct\.height_unit"):
+            built(clouds, houses.footprints(UTM))
+        assert len(built(clouds, houses.footprints(UTM), **options)) == 2
