@@ -16,7 +16,7 @@ import scipy
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_crs import unit_m, vertical_part
+from p2wss.storage.las_crs import is_place, unit_m, vertical_part
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -146,15 +146,17 @@ def read_terrain(
             transform, stated, num_bands = raster.transform, raster.crs, raster.count
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
         raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
-    if stated is None and crs is None:
-        raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
     with reading(path, "a raster in a CRS that PROJ knows"):
-        terrain_crs = pyproj.CRS.from_user_input(stated or crs)
+        stated = None if stated is None else pyproj.CRS.from_user_input(stated)
+        stated = stated if stated is not None and is_place(stated) else None
+        terrain_crs = pyproj.CRS.from_user_input(crs) if stated is None and crs is not None else stated
+    if terrain_crs is None:
+        raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
     if stated is None:
         log.info("note: %s does not state its CRS; assuming %s", path, terrain_crs.name)
     if num_bands > 1:
         log.info("note: %s has %d bands; the first is taken for heights", path, num_bands)
-    length_m = UNITS_M[unit] if unit else _stated_unit_m(terrain_crs if stated else None, band_unit, path)
+    length_m = UNITS_M[unit] if unit else _stated_unit_m(stated, band_unit, path)
     length_m = unstated_m(terrain_crs) if length_m is None else length_m
     if not is_plain or length_m != 1.0:
         heights = ((heights.astype(np.float64) * scale + offset) * length_m).astype(np.float32)

@@ -71,6 +71,7 @@ def test_a_file_survives_a_round_trip(tmp_path: Path) -> None:
     ("crs", "transform", "message"),
     [
         (None, from_origin(0, 10, 1, 1), "has no CRS"),
+        ('LOCAL_CS["unknown",UNIT["metre",1]]', from_origin(0, 10, 1, 1), "has no CRS"),
         ("EPSG:2154", from_origin(0, 10, 1, 2), "square cells"),
         ("EPSG:2154", Affine(1, 0.1, 0, 0.1, -1, 10), "north-up"),
     ],
