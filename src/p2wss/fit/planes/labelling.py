@@ -131,11 +131,11 @@ def _part(
     choice: np.ndarray,
     faces: _Faces,
     cells: np.ndarray,
-    takes_all: bool,
+    keeps_own: bool,
     slots: _Slots,
 ) -> tuple[Problem, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(the problem of some cells alone, its choice today, its candidates and lines as the problem numbers them, a cell
-    of each face around). takes_all: its cells keep all their candidates, not only planes around them.
+    of each face around). Its candidates are the planes around, and with keeps_own those of the choice today.
 
     The choice today is of further candidates, behind those of all cells, as it may be of planes that are not around.
     """
@@ -161,6 +161,8 @@ def _part(
     side, pair, around = side[:num].copy(), pair[:num].copy(), around[:num_around].copy()
     for cell in cells:
         slots.cell[cell] = -1
+        if keeps_own:
+            slots.is_around[problem.number[choice[cell]]] = True
     for cell in around:
         slots.face[find(faces.merged, faces.of_cell[cell])] = -1
         slots.is_around[problem.number[choice[cell]]] = True
@@ -173,7 +175,7 @@ def _part(
             slots.plane[number], planes[num_planes], num_planes = 0, number, num_planes + 1
     for cell in cells:
         for number in problem.number[problem.first[cell] : problem.first[cell + 1]]:
-            if takes_all or slots.is_around[number]:
+            if slots.is_around[number]:
                 num_candidates += 1
                 if slots.plane[number] < 0:
                     slots.plane[number], planes[num_planes], num_planes = 0, number, num_planes + 1
@@ -183,7 +185,7 @@ def _part(
     of_cell, count = np.empty(num_candidates + num_free, np.int64), 0
     for k, cell in enumerate(everything):
         for t in range(problem.first[cell], problem.first[cell + 1]):
-            is_own = t == choice[cell] if k >= num_free else takes_all or slots.is_around[problem.number[t]]
+            is_own = t == choice[cell] if k >= num_free else slots.is_around[problem.number[t]]
             if is_own:
                 origin[count], of_cell[count], count = t, k, count + 1
         first[k + 1] = count
