@@ -2,6 +2,7 @@
 
     python benchmarks/structure.py [--seed 1 --seed 2]
     python benchmarks/structure.py --kind large # of large buildings
+    python benchmarks/structure.py --kind complexes # of several grown together, 50 to 300 planes
     python benchmarks/structure.py --few        # of houses with 80, 40, 20 and 10 points on each
 
 Needs no data.
@@ -37,7 +38,7 @@ from p2wss.towns import FOOTPRINTS, LIDAR
 
 SEEDS = (101, 102)
 # by kind of town: shares of false and of missing edges, and of exact roofs
-BARS = {"wings": (0.03, 0.06, 0.6), "large": (0.03, 0.06, 0.4)}
+BARS = {"wings": (0.03, 0.06, 0.6), "large": (0.03, 0.06, 0.4), "complexes": (0.08, 0.15, 0.0)}
 # points on each house
 FEW = (80, 40, 20, 10)
 

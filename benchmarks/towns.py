@@ -20,7 +20,8 @@ def main() -> None:
         choices=KINDS,
         required=True,
         help="wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall "
-        "to wall; large: schools, convents, factories, .. of up to some 50 planes",
+        "to wall; large: schools, convents, factories, .. of up to some 50 planes; complexes: several of them grown "
+        "together, of 50 to 300 planes",
     )
     parser.add_argument("--seed", type=int, required=True, help="each seed from 0 on gives a different town")
     parser.add_argument(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from drawn_towns.large import LARGE_SWINGS_PER_S, draw_large
+from drawn_towns.large import LARGE_SWINGS_PER_S, draw_complexes, draw_large
 from drawn_towns.old import draw_old
 from drawn_towns.wings import draw_terraces, draw_wings, true_solids
 from p2wss.formats.cityjson import Metadata, Solid, lines
@@ -20,8 +20,17 @@ from p2wss.towns.site import BUILDING_CLASS, CRS, GROUND_CLASS, UNCLASSIFIED_CLA
 
 ROOFS = "roofs/roofs.city.jsonl"
 # wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall to wall;
-# large: schools, convents, factories, .. of up to some 50 planes
-KINDS = {"wings": draw_wings, "terraces": draw_terraces, "old": draw_old, "large": draw_large}
+# large: schools, convents, factories, .. of up to some 50 planes; complexes: several of them grown together,
+# of 50 to 300 planes
+KINDS = {
+    "wings": draw_wings,
+    "terraces": draw_terraces,
+    "old": draw_old,
+    "large": draw_large,
+    "complexes": draw_complexes,
+}
+# of the towns of complexes, whose surveys have last returns only
+WITHOUT_CLASSES = 1 / 3
 
 
 def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> list[DrawnBuilding]:
@@ -32,8 +41,14 @@ def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> l
     write_terrain(folder / TERRAIN, town[0].ground)
     write_footprints(town, folder / FOOTPRINTS, rng)
     if with_lidar:
-        points, is_near = scan_town(town, rng, LARGE_SWINGS_PER_S if kind == "large" else SWINGS_PER_S)
+        points, is_near = scan_town(
+            town, rng, LARGE_SWINGS_PER_S if kind in ("large", "complexes") else SWINGS_PER_S
+        )
         is_recorded = recorded([each for each in town if in_lidar_tile(each.footprint)], points, rng)
+        if kind == "complexes":
+            is_recorded &= points["return_number"] == points["number_of_returns"]
+            if rng.random() < WITHOUT_CLASSES:
+                points["classification"][:] = 0
         write_points(points, is_near & is_recorded, folder / LIDAR)
     solids = [
         Solid.of_triangles(building_id(index), *corners, {"shape": building.kind})

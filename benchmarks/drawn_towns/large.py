@@ -1,4 +1,5 @@
-"""A town of large buildings, of up to some 50 planes: schools, convents, palaces, factories, churches, round buildings.
+"""Towns of large buildings: schools, convents, palaces, factories, churches and round buildings of up to some 50
+planes, and complexes of several of them with 50 to 300.
 
 They are bodies as those of :mod:`drawn_towns.wings`. Trees grow in courts, some roofs have no class or that of trees,
 and the lines of the scanner are far apart. All sizes below are in metres and degrees.
@@ -6,17 +7,21 @@ and the lines of the scanner are far apart. All sizes below are in metres and de
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import shapely
 
-from drawn_towns.wings import body, draw_dormers, draw_groups
+from drawn_towns.wings import body, draw_dormers, draw_groups, parapets
 from p2wss.towns.buildings import DrawnBuilding, Wing
-from p2wss.towns.site import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.towns.lots import block_side, to_world
+from p2wss.towns.site import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS, ground_z_m
 
 # half swings of the scanner: lines on the ground are 0.9 m apart
 LARGE_SWINGS_PER_S = 69.0
+_LONGEST_M = 190.0  # so that a complex fits into the LiDAR tile
 _SEEN_AS, _SEEN_SHARE = (BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS), (0.7, 0.15, 0.15)
 
 Box = tuple[float, float, float, float]
@@ -25,7 +30,24 @@ Draw = Callable[[np.random.Generator], list[Wing]]
 
 def draw_large(rng: np.random.Generator) -> list[DrawnBuilding]:
     """Buildings of each shape in turn."""
-    town = draw_groups(rng, SHAPES, lambda shape, rng: [_SHAPES[shape](rng)])
+    return _with_trees(draw_groups(rng, SHAPES, lambda shape, rng: [_SHAPES[shape](rng)]), rng)
+
+
+def draw_complexes(rng: np.random.Generator) -> list[DrawnBuilding]:
+    """Several large buildings that have grown together, of 50 to 300 planes, on ground that falls little."""
+    town = draw_groups(rng, rng.permutation(SHAPES).tolist(), lambda shape, rng: [_draw_complex(shape, rng)])
+    for building in town:
+        building.ground = park_z_m
+    return _with_trees(town, rng)
+
+
+def park_z_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The ground of the other towns with a quarter of its slopes."""
+    return 58 + (ground_z_m(x, y) - 58) / 4
+
+
+def _with_trees(town: list[DrawnBuilding], rng: np.random.Generator) -> list[DrawnBuilding]:
+    """The same with trees in courts and with the class that the points of each have."""
     for building in town:
         seen_as = int(rng.choice(_SEEN_AS, p=_SEEN_SHARE))
         for wing in building.wings:
@@ -38,13 +60,78 @@ def draw_large(rng: np.random.Generator) -> list[DrawnBuilding]:
     return town
 
 
+def _draw_complex(shape: str, rng: np.random.Generator) -> list[Wing]:
+    """Buildings on both sides of a passage, the first of this shape."""
+    wings, ends = list[Wing](), np.zeros(2)
+    for name in [shape, *rng.choice(SHAPES, int(rng.integers(1, 6))).tolist()]:
+        part, side = _SHAPES[name](rng), int(np.argmin(ends))
+        corner = np.concatenate([wing.outline for wing in part]) * (1 - 2 * side)
+        low, high = corner.min(axis=0), corner.max(axis=0)
+        if ends.any() and ends[side] + high[0] - low[0] > _LONGEST_M:
+            continue
+        # on the passage, which it overlaps
+        shift = np.round((ends[side] - low[0], 1 - low[1] if side == 0 else -1 - high[1]), 3)
+        wings += [replace(wing, outline=wing.outline * (1 - 2 * side) + shift) for wing in part]
+        ends[side] += high[0] - low[0] + rng.uniform(4, 8)
+    eave, roof = rng.uniform(3.2, 5), str(rng.choice(["flat", "gable"]))
+    passage = body((0, 0), 0, (0, -3, float(np.round(ends.max() - 4, 3)), 3), eave, 20, roof)
+    return [passage, *wings, *_furniture(wings, rng)]
+
+
+def _furniture(wings: list[Wing], rng: np.random.Generator) -> list[Wing]:
+    """Dormers, set-backs, skylights and parapets, where others are not in their way."""
+    result, todo = list[Wing](), list(wings)
+    for wing in todo:
+        length, deep = np.linalg.norm(np.diff(wing.outline[:3], axis=0), axis=1)
+        if len(wing.outline) != 4 or deep < 7 or length < 10 or rng.random() < 0.4:
+            continue
+        if not wing.slopes:
+            added = {0: _on_level(length, deep, wing.eave_m, rng)}
+        elif {0, 2} <= {*wing.slopes}:
+            roof = "gable" if wing.slopes == (0, 2) else "hip"
+            # a dormer of draw_dormers is on the south of a body around the axis
+            added = {side: draw_dormers(wing, roof, length, deep, rng, 12) for side in (0, 2)}
+            for each in (each for bodies in added.values() for each in bodies):
+                each.outline = np.add(each.outline, (0, deep / 2))
+        else:
+            continue
+        above = [other for other in [*wings, *result] if other is not wing and other.ridge_m > wing.eave_m]
+        taken = shapely.union_all([shapely.Polygon(other.outline) for other in above]).buffer(0.5)
+        for side, bodies in added.items():
+            start, along, inward, _ = block_side(wing.outline, side)
+            for each in bodies:
+                each.outline = np.round(to_world(start, along, inward, each.outline.tolist()), 3)
+                if not taken.intersects(shapely.Polygon(each.outline)):
+                    result.append(each)
+                    todo += [each] if each.detail == "" else []
+    return result
+
+
+def _on_level(length: float, deep: float, top: float, rng: np.random.Generator) -> list[Wing]:
+    """A set-back, or rows of skylights; perhaps with parapets."""
+    edge = parapets((0, 0, length, deep), top + rng.uniform(0.2, 0.8)) if rng.random() < 0.5 else []
+    if min(length, deep) > 14 and rng.random() < 0.4:
+        back, side = rng.uniform(2.5, 5, 2)
+        box = (back, side, length - back, deep - side)
+        return [*edge, body((0, 0), 0, box, top + rng.uniform(2.8, 4), 0, "flat")]
+    wide, number, rows = rng.uniform(1.6, 3.5), int((length - 2) / rng.uniform(5, 9)), int(deep / 18) + 1
+    roof, pitch, curb = str(rng.choice(["gable", "flat", "shed"])), rng.uniform(15, 35), rng.uniform(0.4, 1)
+    places = itertools.product((np.arange(number) + 0.5) * length / number, np.arange(rows) * deep / rows)
+    return edge + [
+        body((u, v), 90, (1.5, -wide / 2, deep / rows - 1.5, wide / 2), top + curb, pitch, roof)
+        for u, v in places
+    ]
+
+
 def _ring(
     x: float, y: float, radius: float, num_edges: int, turn_deg: float, span_deg: float = 360.0
 ) -> np.ndarray:
-    """A regular polygon, or the part of it that a span of angles from a direction on has; to the millimetre."""
+    """A regular polygon, or the part of it that a span of angles from a direction on has; a part is to the
+    millimetre, as the body beside it, and the planes of a whole one meet in one point."""
     number = num_edges if span_deg == 360 else num_edges + 1
     angle = np.radians(turn_deg + np.arange(number) * span_deg / num_edges)
-    return np.round(np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)]), 3)
+    ring = np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)])
+    return ring if span_deg == 360 else np.round(ring, 3)
 
 
 def _around_court(box: Box, deep: float, eave: float, pitch: float) -> list[Wing]:
@@ -200,7 +287,8 @@ def _draw_round(rng: np.random.Generator) -> list[Wing]:
     outer = Wing(_ring(0, 0, radius + 6, number, 0), eave - 2, 0.0, ())
     wings = [outer, inner]
     for turn_deg in (0, 90, 180, 270)[: int(rng.integers(2, 5))]:
-        box = (radius, -8.0, radius + rng.uniform(15, 35), 8.0)
+        # it begins within the hall
+        box = (0.7 * radius, -8.0, radius + rng.uniform(15, 35), 8.0)
         kind = str(rng.choice(["gable", "flat", "hip"]))
         wings.append(body((0, 0), turn_deg, box, eave - 3, rng.uniform(15, 35), kind))
     angle = np.radians(45)

@@ -239,14 +239,21 @@ def _draw_flat(rng: np.random.Generator) -> list[Wing]:
     for x0, y0, x1, y1, top in boxes:
         wings.append(body((0, 0), 0, (x0, y0, x1, y1), top, 0, "flat"))
         details.append(body((0, 0), 0, (x0, y0, x1, y1), top, camber, "hip"))
-        strips = [
-            (x0, y0, x1, y0 + 0.3),
-            (x0, y1 - 0.3, x1, y1),
-            (x0, y0, x0 + 0.3, y1),
-            (x1 - 0.3, y0, x1, y1),
-        ]
-        details += [body((0, 0), 0, strip, top + high, 0, "flat") for strip in strips if high]
+        if high:
+            details += parapets((x0, y0, x1, y1), top + high)
     return wings + [replace(detail, detail="parapet or camber") for detail in details]
+
+
+def parapets(box: tuple[float, float, float, float], top_m: float) -> list[Wing]:
+    """Those along the sides of a level roof."""
+    x0, y0, x1, y1 = box
+    strips = [
+        (x0, y0, x1, y0 + 0.3),
+        (x0, y1 - 0.3, x1, y1),
+        (x0, y0, x0 + 0.3, y1),
+        (x1 - 0.3, y0, x1, y1),
+    ]
+    return [replace(body((0, 0), 0, strip, top_m, 0, "flat"), detail="parapet") for strip in strips]
 
 
 def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
@@ -307,7 +314,7 @@ def true_solids(town: Sequence[DrawnBuilding]) -> Iterator[tuple[np.ndarray, np.
     """The union of the bodies of each building, less its shafts, on the ground: vertices (v, 3) in the CRS, triangles
     (t, 3)."""
     for building in town:
-        # in the frame in which it was drawn, to the millimetre, so that bodies side by side have the same coordinates
+        # in the frame in which it was drawn, to 0.1 um, so that bodies side by side have the same coordinates
         origin, rotation = building.wings[0].outline[0], _axes(building.wings[0])
         bodies = [_prism(wing, origin, rotation) for wing in building.wings if not wing.detail]
         solid = Manifold.batch_boolean(bodies, OpType.Add)
@@ -330,7 +337,7 @@ def _axes(wing: Wing) -> np.ndarray:
 
 def _prism(wing: Wing, origin: np.ndarray, rotation: np.ndarray) -> Manifold:
     """The solid of a body above z = 0, in the frame of its building."""
-    turned = replace(wing, outline=np.round((wing.outline - origin) @ rotation, 3))
+    turned = replace(wing, outline=np.round((wing.outline - origin) @ rotation, 7))
     solid = Manifold.extrude(CrossSection([turned.outline]), 100.0)
     for start, along, above_m, tangent in zip(*turned.planes(), strict=True):
         normal = np.array([-along[1] * tangent, along[0] * tangent, -1.0])
