@@ -47,7 +47,11 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
 
 def _without_slivers(mesh: Mesh) -> Mesh:
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
-    return with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool)) if is_narrow.any() else mesh
+    if not is_narrow.any():
+        return mesh
+    # as faces are planar but for tenths of a millimetre, other diagonals may cross what is beside them
+    divided = with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool))
+    return divided if _is_as_valid(divided, mesh) else mesh
 
 
 def _with_planes(mesh: Mesh) -> Mesh:

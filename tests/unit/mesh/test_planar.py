@@ -18,6 +18,7 @@ from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh, meeting, planar
 from p2wss.mesh.meeting import _solved, with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
+from p2wss.mesh.rules import crosses_itself
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton import FaceKind, Polygons
 
@@ -44,6 +45,28 @@ def furthest_m(mesh: Mesh) -> float:
         corner_m = corner_m - corner_m.mean(axis=0)
         result = max(result, float(np.abs(corner_m @ np.linalg.svd(corner_m)[2][2]).max()))
     return result
+
+
+def test_faces_are_not_divided_anew_where_they_would_cross_walls() -> None:
+    """A corner between two walls that are nearly one is a centimetre above its roof. A triangle between it and its
+    neighbours, which has the diagonals of Delaunay, lies on the wall below."""
+    xy_m = np.array([(0, 0), (0.012, -1.2e-6), (0.02, 0), (75, 100), (-75, 100)])
+    vertex_m = np.vstack(
+        [np.column_stack([xy_m, height_m]) for height_m in ([10, 10.01, 10, 10, 10], [0] * 5)]
+    )
+    roof = np.array([(0, 1, 4), (1, 3, 4), (1, 2, 3)])
+    wall = [side for k in range(5) for n in [(k + 1) % 5] for side in ((k, 5 + k, 5 + n), (k, 5 + n, n))]
+    kinds = [FaceKind.FLAT] * 3 + [FaceKind.GROUND] * 3 + [FaceKind.WALL] * 10
+    mesh = Mesh(
+        vertex_m,
+        np.array([*roof, *(5 + roof[:, ::-1]), *wall], np.int32),
+        np.array(kinds, np.uint8),
+        np.array([0] * 3 + [1] * 3 + [2 + k // 2 for k in range(10)], np.int32),
+    )
+    assert mesh.is_closed and not crosses_itself(mesh.vertex_m, mesh.triangle)
+    divided = planar.with_faces_divided(mesh, np.ones(len(vertex_m), bool))
+    assert divided is not mesh and crosses_itself(divided.vertex_m, divided.triangle)
+    assert planar._without_slivers(mesh) is mesh
 
 
 def test_bent_roofs_become_planes_and_walls_stay() -> None:
