@@ -194,8 +194,9 @@ class _Rings:
         here = xy_m[self.node]
         before, after = here[previous_in_ring(self.ring_offset)], here[next_in_ring(self.ring_offset)]
         u, v = here - before, after - here
-        offset_m = np.abs(cross(u, v)) / np.hypot(*(after - before).T)
-        return np.asarray((offset_m < most_m) & ((u * v).sum(axis=1) > 0))
+        # without a division, as both neighbours of a spike are in one place
+        is_near = np.abs(cross(u, v)) < most_m * np.hypot(*(after - before).T)
+        return np.asarray(is_near & ((u * v).sum(axis=1) > 0))
 
     def straightened(self, xy_m: np.ndarray) -> np.ndarray:
         """The places of the nodes after those at which a wall hardly turns have moved onto the line between its ends,

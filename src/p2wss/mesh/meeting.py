@@ -20,6 +20,8 @@ _STIFF, _THIN = 100.0, 1e-12
 _RANK = 1e-2
 # changes of planes that move no vertex by more than the square root of this share of themselves are not made
 _NO_CHANGE = 1e-10
+# changes of planes that are larger are no solution, and their squares may be beyond all numbers
+_NO_SOLUTION_M = 1e6
 _NUM_ROUNDS = 4
 # rotations after which a matrix of three rows is diagonal to the last bit
 _NUM_TURNS = 18
@@ -229,8 +231,8 @@ def _met(
             break
         lever = (point_m[at, None] @ scale[plane])[:, 0]
         change = _solved(*_sums(row[plane], off_m, lever, inverse, begin, unknown, num))
-        if not np.isfinite(change).all():
-            # the points went further away in each round: these planes do not meet
+        if not np.abs(change).max(initial=0.0) < _NO_SOLUTION_M:
+            # the points went further away in each round, or the equations have no solution: these planes do not meet
             break
         row[moves] -= (scale[moves] @ change[..., None])[..., 0]
         inverse, _ = _inverses(row[plane], at)

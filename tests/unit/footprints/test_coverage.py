@@ -16,7 +16,7 @@ from places import SHARED
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints.coverage import block_numbers, clean_coverage, is_accepted
+from p2wss.footprints.coverage import _Rings, block_numbers, clean_coverage, is_accepted
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
 OLEMPS = SHARED / "data" / "olemps_bdtopo" / "BATIMENT.shp"
@@ -344,3 +344,10 @@ def test_any_tiling_of_olemps_gives_the_same_footprints(tile_size_m: float) -> N
             assert row.status == whole.status and row.geometry.wkb == whole.geometry.wkb
             count += 1
     assert count > 60 and reached > 0, "some blocks continue beyond their window"
+
+
+def test_a_ring_that_has_become_an_edge_has_no_vertex_within_a_wall() -> None:
+    """Before and after each of its nodes is the other one: there is no line between them."""
+    rings = _Rings(np.array([0, 1]), np.array([0, 2]), np.array([0, 1]))
+    with np.errstate(all="raise"):
+        assert not rings._is_inner(np.array([[0.0, 0.0], [3.0, 1.0]]), 0.1).any()
