@@ -82,6 +82,11 @@ class Detection(NamedTuple):
     max_per_m2: float = 50.0
     # points nearest to each, which show the direction of the surface there
     num_neighbours: int = 12
+    # where those of more than this share of (some) points lie on a line of the scanner, narrower than this share of its
+    # length, twice as many are taken
+    line_share: float = 0.12
+    line_width: float = 0.15
+    num_line_samples: int = 2_000
     # metres: points of a plane lie this near to it
     distance_m: float = 0.15
     # degrees: the surface at a point of a plane differs from the plane by less, unless the surface there is rougher

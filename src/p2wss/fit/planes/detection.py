@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from p2wss.fit.points import every_kth
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.compiled import ZERO, both, entry, inner
 from p2wss.skeleton.nearest import nearest
@@ -83,6 +84,8 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     min_points = max(fewest, int(settings.min_area_m2 * density))
     point_m = np.ascontiguousarray(point_m, float)
     _, neighbour = nearest(point_m, point_m, count)
+    if not is_sparse and _on_lines(point_m, neighbour, settings):
+        _, neighbour = nearest(point_m, point_m, min(2 * count, len(point_m)))
     if is_sparse:
         bearing = np.concatenate([along, np.add(along, np.pi / 2)])
         axis = np.column_stack([np.cos(bearing), np.sin(bearing)])
@@ -95,6 +98,17 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         plane, label = _settled(point_m, plane, label, neighbour, settings)
         plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
     return RoofPlanes(plane, label)
+
+
+def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -> bool:
+    """Whether the neighbours (m, k) of many points lie on one line of the scanner each, as the next one is further
+    away: they show no plane, as any that has the line goes through them."""
+    rows = every_kth(len(point_m), settings.num_line_samples)
+    near_m = point_m[neighbour[rows], :2]
+    away_m = near_m - near_m.mean(axis=1, keepdims=True)
+    (xx, xy), (_, yy) = np.einsum("nka,nkb->abn", away_m, away_m)
+    across, along = (xx + yy) / 2 + [[-1.0], [1.0]] * np.hypot((xx - yy) / 2, xy)
+    return bool(np.mean(across < settings.line_width**2 * along) > settings.line_share)
 
 
 @both

@@ -175,6 +175,21 @@ def test_what_is_steeper_than_the_roofs_of_the_paper_is_a_wall(angle_deg: float,
     assert ((found.label >= 0).mean() > 0.5) == is_roof
 
 
+def test_planes_are_found_though_lines_of_the_scanner_are_far_apart() -> None:
+    """The nearest points of each are on its own line: many planes have that in common."""
+    xy_m = np.array([(x, y) for x in np.arange(0, 18, 0.9) for y in np.arange(0, 16, 0.1)])
+    turn = np.radians(30.0)
+    xy_m = xy_m @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    draw = np.random.default_rng(0)
+    xy_m += draw.normal(0, 0.03, xy_m.shape)
+    height_m = 9 - 0.6 * np.abs(xy_m[:, 0] - 4) + draw.normal(0, 0.02, len(xy_m))
+    found = detect(np.column_stack([xy_m, height_m]), 11.0, (0.0,), PLANES.detection)
+    assert len(found.plane) == 2 and np.mean(found.label >= 0) > 0.95
+    assert found.plane[np.argsort(found.plane[:, 0]), :2] == pytest.approx(
+        np.array([[-0.6, 0], [0.6, 0]]), abs=0.01
+    )
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_ridge_between_two_low_slopes_is_where_it_is(seed: int) -> None:
     """Within 15 cm of the ridge a point is hardly nearer to its own slope, and the first planes have points of both."""
