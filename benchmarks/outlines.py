@@ -40,7 +40,7 @@ from p2wss.reconstruction.area import footprint_settings
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.points import unclassified
 from p2wss.reconstruction.result import Result
-from p2wss.reconstruction.tracing.outlines import crowns, outline_features, outlines, rasterised
+from p2wss.reconstruction.tracing.outlines import crowns, outline_features, outlines_and_crowns, rasterised
 from p2wss.storage.features import Features
 
 MIN_AREA_M2 = 30.0
@@ -214,7 +214,7 @@ def main() -> int:
         near = [shapely.contains_xy(house, cloud.x_m, cloud.y_m).any() for house in houses]
         houses = houses[np.array(near)]
         crs = pyproj.CRS.from_epsg(place.epsg)
-        features = outline_features(cloud, settings, crs)
+        features = outline_features(outlines_and_crowns(cloud, settings)[0], crs)
         ignored = unmapped(houses, cloud)
         rows = compared(houses, features.geometry, ignored)
         if arguments.rows:
@@ -232,9 +232,9 @@ def main() -> int:
             figures.at_least("houses found", totals["found"], BARS["found"])
             figures.at_least("IoU with blocks of the map", totals["iou"], BARS["iou"])
             figures.at_most("vertices by those of the map", totals["vertices"], BARS["vertices"])
-            seconds = cpu_seconds(partial(outline_features, cloud, settings, crs), 1)
+            seconds = cpu_seconds(partial(outlines_and_crowns, cloud, settings), 1)
             figures.row("cpu", {"ms per outline": 1000 * seconds / len(features)})
-        bare = outline_features(without_classes(cloud), settings, crs, is_classified=False).geometry
+        bare, _ = outlines_and_crowns(without_classes(cloud), settings, is_classified=False)
         unclassified_totals = measures(compared(houses, bare, ignored))
         print(f"{name}, without classes", json.dumps(unclassified_totals), flush=True)
         figures.row(f"{name}, without classes", unclassified_totals)
@@ -249,7 +249,7 @@ def main() -> int:
                 figures.at_most("points to mesh on the map [m]", solids["p2m on map"], BARS["p2m"])
     for path in arguments.forests:
         bare_cloud = without_classes(clouds.read_clouds([path]))
-        shapes = outlines(bare_cloud, settings)
+        shapes, _ = outlines_and_crowns(bare_cloud, settings)
         is_crown = crowns(bare_cloud, shapes, rasterised(bare_cloud, settings))
         counts = {"outlines": int((~is_crown).sum()), "left out as crowns": int(is_crown.sum())}
         print(path.name, json.dumps(counts), flush=True)

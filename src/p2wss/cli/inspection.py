@@ -168,8 +168,7 @@ def _vector(path: Path) -> Facts:
     layers: list[Facts] = []
     info: Facts = {}
     for name in pyogrio.list_layers(path)[:, 0]:
-        options = {"layer": name, "force_feature_count": True, "force_total_bounds": True}
-        info = decoded(path, pyogrio.read_info, **options)
+        info = decoded(path, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True)
         metadata = info["layer_metadata"] or {}
         bounds = info["total_bounds"]
         layers.append(

@@ -16,7 +16,7 @@ import scipy
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_crs import is_place, unit_m, vertical_part
+from p2wss.storage.las_crs import placed, unit_m, vertical_part
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -147,8 +147,7 @@ def read_terrain(
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
         raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
     with reading(path, "a raster in a CRS that PROJ knows"):
-        stated = None if stated is None else pyproj.CRS.from_user_input(stated)
-        stated = stated if stated is not None and is_place(stated) else None
+        stated = None if stated is None else placed(pyproj.CRS.from_user_input(stated))
         terrain_crs = pyproj.CRS.from_user_input(crs) if stated is None and crs is not None else stated
     if terrain_crs is None:
         raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")

@@ -105,8 +105,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
                 )
             name = layer if layer in layers else layers[0]
             window = _window(path, bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
-            options = {"layer": name, "bbox": window, "fid_as_index": True}
-            frame = decoded(path, pyogrio.read_dataframe, **options)
+            frame = decoded(path, pyogrio.read_dataframe, layer=name, bbox=window, fid_as_index=True)
     region_crs = horizontal(pyproj.CRS.from_user_input(crs))
     if frame.crs is None:
         return frame

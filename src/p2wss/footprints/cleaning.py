@@ -23,7 +23,7 @@ from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, 
 from p2wss.footprints.vector_files import read_attributes, read_vector
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import is_place
+from p2wss.storage.las_crs import placed
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -69,7 +69,7 @@ def read_footprints(
     types = shapely.get_type_id(features.geometry)
     if len(features) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
         raise InputError(f"{path}: has no polygons; footprints must be polygons")
-    crs = features.crs if features.crs is not None and is_place(features.crs) else None
+    crs = placed(features.crs)
     if crs is None and needs_crs:
         raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")
     if metric is None and crs is not None and crs.is_geographic:

@@ -70,8 +70,15 @@ def read_vector(
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
-        options = {"layer": chosen, "bbox": bounds, "return_fids": True, "datetime_as_string": True}
-        meta, number, wkb, values = decoded(path, pyogrio.raw.read, **options, **_options(path))
+        meta, number, wkb, values = decoded(
+            path,
+            pyogrio.raw.read,
+            layer=chosen,
+            bbox=bounds,
+            return_fids=True,
+            datetime_as_string=True,
+            **_options(path),
+        )
     if wkb is None:
         raise InputError(f"{path}: {no_geometry(path)}")
     with reading(path, _KIND):

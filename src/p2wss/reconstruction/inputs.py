@@ -27,7 +27,7 @@ from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import UNKNOWN, is_place, unit_m, with_heights
+from p2wss.storage.las_crs import UNKNOWN, placed, unit_m, with_heights
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -244,7 +244,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     """The whole cloud, and the outlines of its buildings as footprints."""
     # compiled code, which is slow to load
     from p2wss.reconstruction.points import unclassified
-    from p2wss.reconstruction.tracing.outlines import features_of, outlines_and_crowns, with_plants
+    from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns, with_plants
 
     classes = class_set(**config.region.classes.model_dump())
     cloud = read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
@@ -253,7 +253,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     for warning in warnings:
         log.warning("warning: %s", warning)
     shapes, crowns = outlines_and_crowns(cloud, config.reconstruct.outlines, is_classified)
-    return with_plants(cloud, crowns), features_of(shapes, inputs.crs)
+    return with_plants(cloud, crowns), outline_features(shapes, inputs.crs)
 
 
 def output_stem(cloud: Path) -> str:
@@ -378,5 +378,4 @@ def _check_footprints(
     for column in filter(None, columns):
         if column not in fields:
             raise InputError(f"{name}: has no column {column}; its columns are {', '.join(fields) or 'none'}")
-    crs = None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])
-    return crs if crs is not None and is_place(crs) else None
+    return None if info["crs"] is None else placed(pyproj.CRS.from_user_input(info["crs"]))

@@ -112,7 +112,7 @@ def _of_wkt(records: Iterable[laspy.vlrs.vlr.BaseVLR], doubts: list[str]) -> Ite
         except pyproj.exceptions.CRSError as error:
             doubts.append(f"its WKT is not used: {error}")
             continue
-        if not is_place(crs):
+        if placed(crs) is None:
             doubts.append(f"its CRS, {crs.name}, is not used: it is neither projected nor in degrees")
             continue
         # PROJ reads no further than to the end of the first CRS
@@ -225,10 +225,9 @@ def meridian_deg(flat: pyproj.CRS) -> float:
     )
 
 
-def is_place(crs: pyproj.CRS) -> bool:
-    """Whether x and y are a place on the Earth; those of local (engineering) CRSs are not."""
-    flat = crs.sub_crs_list[0] if crs.is_compound else crs
-    return bool(flat.is_projected or flat.is_geographic)
+def placed(crs: pyproj.CRS | None) -> pyproj.CRS | None:
+    """The CRS; None if its x and y are no place on the Earth, as those of local (engineering) CRSs."""
+    return crs if crs is not None and (crs.is_projected or crs.is_geographic) else None
 
 
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:

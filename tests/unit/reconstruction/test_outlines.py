@@ -14,13 +14,17 @@ import p2wss
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.reconstruction.points.unclassified import with_classes
-from p2wss.reconstruction.tracing.outlines import outline_features, outlines
+from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns
 from p2wss.storage.errors import InputError
 
 LAMBERT = pyproj.CRS.from_epsg(2154)
 ORIGIN = np.array([652_000.0, 6_862_000.0])
 L_SHAPE = shapely.Polygon([(0, 0), (20, 0), (20, 8), (8, 8), (8, 18), (0, 18)])
 BUILDING, GROUND, TREE = 6, 2, 5
+
+
+def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np.ndarray:
+    return outlines_and_crowns(cloud, settings, is_classified)[0]
 
 
 def scene(
@@ -144,7 +148,7 @@ def test_crowns_that_pulses_pass_through_are_left_out(caplog: pytest.LogCaptureF
     cloud = under(scene((roof, 8.0), (crown, 9.0)), crown, 0.4)
     supposed, _ = with_classes(cloud)
     assert len(outlines(supposed, Outlines())) == 2
-    assert len(outline_features(supposed, Outlines(), LAMBERT)) == 2
+    assert len(outline_features(outlines(supposed, Outlines()), LAMBERT)) == 2
     (outline,) = p2wss.outlines(cloud).geometry
     assert outline.intersection(placed(roof)).area >= 0.9 * roof.area
     assert "left out, as pulses pass through them as through trees: 1" in caplog.text
@@ -188,7 +192,7 @@ def test_walls_with_many_points_do_not_make_a_crown() -> None:
         np.concatenate([cloud.classification, np.ones(count, np.uint8)]),
         LAMBERT,
     )
-    (outline,) = outline_features(walled, Outlines(), LAMBERT, is_classified=False).geometry
+    (outline,) = outlines(walled, Outlines(), is_classified=False)
     assert shapely.contains_xy(outline, x_m, y_m).all()
 
 
@@ -208,10 +212,7 @@ def test_the_order_of_points_does_not_matter() -> None:
         z_m=cloud.z_m[order],
         classification=cloud.classification[order],
     )
-    first, second = (
-        outline_features(cloud, Outlines(), LAMBERT),
-        outline_features(shuffled, Outlines(), LAMBERT),
-    )
+    first, second = (outline_features(outlines(each, Outlines()), LAMBERT) for each in (cloud, shuffled))
     assert first["building_id"].tolist() == ["1", "2"]
     assert shapely.to_wkb(first.geometry).tolist() == shapely.to_wkb(second.geometry).tolist()
 

@@ -94,7 +94,7 @@ def _around_steps(
 
 class _Slots(NamedTuple):
     """The number in a part of each cell, face, line and plane of its problem; -1 for none, and for all between parts.
-    is_around: (k,), whether a plane is one of those around the part."""
+    is_around: (k,), whether a plane is a candidate of the part, as those around it are."""
 
     cell: np.ndarray
     face: np.ndarray

@@ -76,8 +76,11 @@ class CloudRaster(Raster):
     height_m: np.ndarray
 
 
-def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np.ndarray:
-    """Polygons of the outlines of all buildings in the cloud, an object array in the order of their lower left corners.
+def outlines_and_crowns(
+    cloud: Cloud, settings: Outlines, is_classified: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """(polygons of the outlines of all buildings in the cloud, in the order of their lower left corners; those that are
+    left out, as they are of crowns), object arrays.
 
     Neighbours share vertices along common walls. Raises :class:`InputError` if the cloud has no points, or none of
     class building (:func:`p2wss.reconstruction.points.unclassified.with_classes` gives a cloud without classes some).
@@ -85,13 +88,6 @@ def outlines(cloud: Cloud, settings: Outlines, is_classified: bool = True) -> np
     is_classified: whether class building is the producer's; else outlines of crowns are left out, and a warning says
     how many. Raises :class:`InputError`, too, if all are of crowns.
     """
-    return outlines_and_crowns(cloud, settings, is_classified)[0]
-
-
-def outlines_and_crowns(
-    cloud: Cloud, settings: Outlines, is_classified: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
-    """(what :func:`outlines` returns, the polygons that are left out as crowns)."""
     if not len(cloud):
         raise InputError("no outlines: the cloud has no points")
     is_building = cloud.classification == BUILDING_CLASS
@@ -138,14 +134,7 @@ def with_plants(cloud: Cloud, crowns: np.ndarray) -> Cloud:
     return replace(cloud, classification=classes)
 
 
-def outline_features(
-    cloud: Cloud, settings: Outlines, crs: pyproj.CRS, is_classified: bool = True
-) -> Features:
-    """The outlines as footprints, as :func:`features_of`."""
-    return features_of(outlines(cloud, settings, is_classified), crs)
-
-
-def features_of(shapes: np.ndarray, crs: pyproj.CRS) -> Features:
+def outline_features(shapes: np.ndarray, crs: pyproj.CRS) -> Features:
     """Outlines as footprints with the column ``building_id``, numbers from 1 as text."""
     ids = np.array([str(number + 1) for number in range(len(shapes))], object)
     return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
