@@ -66,6 +66,8 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
             continue
         others[k] = " ".join(sorted(ids[other] for other in over))
         rest = shapely.difference(shapes[k], shapely.union_all(shapes[over]))
+        # without the lines that are left of it, with which GEOS finds no intersection
+        rest = shapely.MultiPolygon([each for each in shapely.get_parts(rest) if each.geom_type == "Polygon"])
         wide = rest.buffer(-_REST_WIDTH_M / 2, join_style="mitre").buffer(
             _REST_WIDTH_M / 2, join_style="mitre"
         )

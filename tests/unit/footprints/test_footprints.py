@@ -122,6 +122,14 @@ def dirty_polygons(draw: st.DrawFn) -> shapely.Polygon:
 
 # one that crosses itself around a courtyard of 1.8 m²
 @example([shapely.Polygon([(21, 6), (15, 3), (6, 15), (12, 12), (0, 6), (0, 18), (18, 6), (0, 12)])])
+# of the second, a line is left beside a narrow polygon
+@example(
+    [
+        shapely.Polygon([(0, 0), (0, 6), (9, 18), (9, 0)]),
+        shapely.Polygon([(0, 0), (6, 0), (9, 24), (21, 21)]),
+        shapely.Polygon([(9, 24), (12, 21), (12, 24)]),
+    ]
+)
 @settings(max_examples=60, deadline=None)
 @given(st.lists(dirty_polygons(), min_size=1, max_size=4))
 def test_all_accepted_footprints_pass_the_kernel(shapes: list[shapely.Polygon]) -> None:
