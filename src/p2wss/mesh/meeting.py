@@ -114,13 +114,23 @@ def _is_near(
     """bool (k,): which pairs of a place and a plane that moves are few links away from where planes do not meet, bool
     (n,): a change fades with the planes between, so that further ones stay. is_link: which pairs are links."""
     # a plane with many places moves only for its own
-    is_small = (np.bincount(plane) <= _MANY_PLACES)[plane] | is_off[at]
+    is_small = (np.bincount(plane, ~is_off[at]) < _MANY_PLACES)[plane] | is_off[at]
     is_link, is_near = is_link & moves[plane] & is_small, is_off.copy()
     for _ in range(_NUM_RINGS):
         is_moved = np.zeros(len(moves), bool)
         is_moved[plane[is_link & is_near[at]]] = True
         is_near[at[is_link & is_moved[plane]]] = True
     return np.asarray(is_link & is_moved[plane] & is_near[at])
+
+
+def planes_around(is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """bool (p,): which planes have a say in how those at some places, bool (n,), are made to meet: those that may move,
+    and those that meet them. moves: bool (p,). at, plane: all pairs of a place and a plane there."""
+    is_moved, is_place, result = np.zeros(len(moves), bool), is_off.copy(), np.zeros(len(moves), bool)
+    is_moved[plane[_is_near(is_off, moves, at, plane, np.ones(len(at), bool))]] = True
+    is_place[at[is_moved[plane]]] = True
+    result[plane[is_place[at]]] = True
+    return result
 
 
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from p2wss.mesh.meeting import turned_over, with_meeting_planes
+from p2wss.mesh.meeting import planes_around, turned_over, with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
 from p2wss.mesh.topology import NEXT, first_of_faces
 from p2wss.mesh.triangulation import triangulated_in_space
-from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import FaceKind, distinct, writable
+from p2wss.skeleton.types import FaceKind, distinct
 
 # planes that a corner of theirs stays further from than this, or leaves by more than the second figure, stay
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
@@ -25,7 +24,7 @@ _MERGED_M = 2e-3
 _NO_HEIGHT_M = 1e-3
 # with a triangle whose height is a smaller share of its longest side, faces are divided anew
 _NARROW = 0.02
-_GROUND = int(FaceKind.GROUND)
+_GROUND, _WALL = int(FaceKind.GROUND), int(FaceKind.WALL)
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool = True) -> Mesh:
@@ -41,7 +40,8 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     while is_shorter:
         mesh = _with_planes(mesh)
         shorter = _without_short_edges(mesh, short_m, walls_stay, tried)
-        is_shorter, mesh = shorter is not mesh, _without_slivers(shorter)
+        is_shorter = shorter is not mesh
+        mesh = _without_slivers(shorter.part(slice(None)) if is_shorter else mesh)
     return mesh
 
 
@@ -51,14 +51,14 @@ def _without_slivers(mesh: Mesh) -> Mesh:
         return mesh
     # as faces are planar but for tenths of a millimetre, other diagonals may cross what is beside them
     divided = with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool))
-    return divided if _is_as_valid(divided, mesh) else mesh
+    return divided if _is_as_valid(divided, mesh, divided, mesh) else mesh
 
 
 def _with_planes(mesh: Mesh) -> Mesh:
     """The mesh with planar walls and roofs, if it stays valid."""
     flipped = _flipped(mesh)
     result = _met(flipped, np.arange(len(flipped.vertex_m)))
-    return result if result and _is_as_valid(result, flipped) else flipped
+    return result if result and _is_as_valid(result, flipped, result, flipped) else flipped
 
 
 def _without_short_edges(mesh: Mesh, short_m: float, walls_stay: bool, tried: set[object]) -> Mesh:
@@ -81,28 +81,69 @@ def _without_shortest(
     rows = np.flatnonzero(edge_m < short_m)
     if not len(rows):
         return None
-    span = int(mesh.label.max(initial=0)) + 1
-    pair = distinct(mesh.triangle.astype(np.int64) * span + mesh.label[:, None])
-    begin = np.searchsorted(pair, np.arange(len(mesh.vertex_m) + 1) * span)
+    num = int(mesh.label.max(initial=0)) + 1
+    vertex, label = np.divmod(distinct(mesh.triangle.astype(np.int64) * num + mesh.label[:, None]), num)
+    begin = np.searchsorted(vertex, np.arange(len(mesh.vertex_m) + 1))
+    can_move = _that_can_move(mesh, vertex, label)
     for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
         end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
-        labels = [pair[begin[v] : begin[v + 1]] - v * span for v in (end, gone)]
+        labels = [label[begin[v] : begin[v + 1]] for v in (end, gone)]
         around = frozenset(each.tobytes() for each in labels)
         if around in kept or not _can_merge(mesh, end, gone):
             continue
-        is_near = np.isin(mesh.label, np.concatenate(labels))
-        state = around, mesh.vertex_m[distinct(mesh.triangle[is_near])].tobytes()
-        result = None if state in tried else _without_edge(mesh, end, gone, short_m, walls_stay)
-        if result is not None:
-            return result
+        is_at, is_end = np.zeros(num, bool), np.zeros(len(mesh.vertex_m), bool)
+        is_at[np.concatenate(labels)] = is_end[[end, gone]] = True
+        state = around, mesh.vertex_m[vertex[is_at[label]]].tobytes()
+        if state not in tried:
+            is_near = planes_around(is_end, can_move if walls_stay else can_move | is_at, vertex, label)
+            is_end[vertex[is_near[label]]] = True
+            # and what is beside them, as floors on which walls stand, which then do not move
+            one, two, three = is_end.take(mesh.triangle).T
+            is_beside = one & two | two & three | three & one
+            result = _without_edge(mesh, is_beside, end, gone, short_m, walls_stay)
+            if result is not None:
+                return result
         kept.add(around)
         tried.add(state)
     return None
 
 
-def _without_edge(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: bool) -> Mesh | None:
+def _that_can_move(mesh: Mesh, vertex: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """bool (p,): which planes are no floors, nor walls on them. vertex, label: all pairs of a vertex and a plane."""
+    kind, is_on_floor = np.zeros(label.max() + 1, np.uint8), np.zeros(len(mesh.vertex_m), bool)
+    kind[mesh.label] = mesh.kind
+    is_on_floor[mesh.triangle[mesh.kind == _GROUND]] = True
+    stands = np.bincount(label, is_on_floor[vertex]) > 0
+    return np.asarray((kind != _GROUND) & ~(stands & (kind == _WALL)))
+
+
+def _without_edge(
+    mesh: Mesh, is_near: np.ndarray, end: int, gone: int, short_m: float, walls_stay: bool
+) -> Mesh | None:
     """The mesh in which the ends of an edge are one vertex, None if its planes do not meet there, or if a vertex comes
-    to where another one is, as where four walls share an upright edge, or beyond."""
+    to where another one is, as where four walls share an upright edge, or beyond. is_near: bool (t,), the triangles
+    that may change, and those of planes that meet theirs: the others are not looked at, but for crossings."""
+    number, patch = distinct(mesh.triangle[is_near]), mesh.part(is_near)
+    end, gone = np.searchsorted(number, (end, gone)).tolist()
+    changed = _without_side(patch, end, gone, short_m, walls_stay)
+    if changed is None:
+        return None
+    changed = _flipped(changed) if _is_thin(changed).sum() > _is_thin(patch).sum() else changed
+    vertex_m = mesh.vertex_m.copy()
+    vertex_m[number] = changed.vertex_m
+    parts = (mesh.triangle, number[changed.triangle]), (mesh.kind, changed.kind), (mesh.label, changed.label)
+    result = Mesh(vertex_m, *(np.concatenate([old[~is_near], new]).astype(old.dtype) for old, new in parts))
+    num_thin = _is_thin(patch).sum()
+    if _is_thin(changed).sum() > num_thin:
+        # the other end of a step that went, or a vertex that a wall now passes through
+        result = changed = _without_short_edges(result, _NO_HEIGHT_M, walls_stay, set())
+        patch, num_thin = mesh, _is_thin(mesh).sum()
+    is_thin = _is_thin(changed).sum() > num_thin
+    return result if not is_thin and _is_as_valid(result, mesh, changed, patch) else None
+
+
+def _without_side(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: bool) -> Mesh | None:
+    """The mesh in which the ends of an edge are one vertex, None if its planes do not meet there."""
     each = np.arange(len(mesh.vertex_m))
     each[gone] = end
     vertex, plane = mesh.at
@@ -112,15 +153,8 @@ def _without_edge(mesh: Mesh, end: int, gone: int, short_m: float, walls_stay: b
         result = _merged(result, end, gone)
     elif gone not in mesh.triangle[mesh.kind == _GROUND]:
         merged = _merged(mesh, end, gone)
-        is_end = (merged.vertex_m == mesh.vertex_m[end]).all(axis=1)
-        result = _met(merged, np.arange(len(merged.vertex_m)), short_m, only=is_end)
-    if result is None:
-        return None
-    num_thin = _is_thin(mesh).sum()
-    if _is_thin(result).sum() > num_thin:
-        # the other end of a step that went, or a vertex that a wall now passes through
-        result = _without_short_edges(_flipped(result), _NO_HEIGHT_M, walls_stay, set())
-    return result if _is_thin(result).sum() <= num_thin and _is_as_valid(result, mesh) else None
+        result = _met(merged, np.arange(len(each)), short_m, only=np.arange(len(each)) == end)
+    return result
 
 
 def without_straight_vertices(mesh: Mesh) -> Mesh:
@@ -175,40 +209,41 @@ def _met(
     return None
 
 
-def _is_as_valid(mesh: Mesh, before: Mesh) -> bool:
-    """Whether a mesh is closed, has no edge that files merge, and does not cross itself, if so was the one before."""
-    if mesh is before:
+def _is_as_valid(mesh: Mesh, before: Mesh, changed: Mesh, patch: Mesh) -> bool:
+    """Whether a mesh has no side without another that had one, no edge that files merge, and does not cross itself, if
+    so was the one before. changed, patch: the last triangles of the mesh, and those that they were before, with the
+    same numbers of vertices; what is beside them stays."""
+    if changed is patch:
         return True
-    if (before.is_closed and not mesh.is_closed) or mesh.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
+    is_moved = (changed.vertex_m != patch.vertex_m).any(axis=1)
+    if not _is_as_closed(changed, patch) or is_moved[_sides(patch)[0] // len(is_moved)].any():
         return False
-    if not crosses_itself(mesh.vertex_m, mesh.triangle, np.flatnonzero(_is_new(mesh, before))):
+    if changed.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
+        return False
+    base = len(is_moved) ** np.arange(3)
+    own, old = (np.sort(each.triangle) @ base for each in (changed, patch))
+    old.sort()
+    is_old = old[np.minimum(np.searchsorted(old, own), len(old) - 1)] == own
+    asked = len(mesh.triangle) - len(own) + np.flatnonzero(is_moved[changed.triangle].any(axis=1) | ~is_old)
+    if not crosses_itself(mesh.vertex_m, mesh.triangle, asked):
         return True
     return crosses_itself(before.vertex_m, before.triangle)
 
 
-def _is_new(mesh: Mesh, before: Mesh) -> np.ndarray:
-    """bool (t,): which triangles were not there before, between the same places."""
-    order = np.argsort(before.vertex_m[:, 0], kind="stable")
-    old_m = before.vertex_m[order]
-    first = np.searchsorted(old_m[:, 0], mesh.vertex_m[:, 0])
-    number = _same_places(writable(mesh.vertex_m, np.float64), old_m, order, first)
-    corner, base = number[mesh.triangle], len(order) ** np.arange(3)
-    old, own = np.sort(before.triangle @ base), corner @ base
-    is_old = old[np.minimum(np.searchsorted(old, own), len(old) - 1)] == own
-    return np.asarray((corner < 0).any(axis=1) | ~is_old)
+def _is_as_closed(mesh: Mesh, before: Mesh) -> bool:
+    """Whether the same sides as before have no triangle beside them, and not more of them have several."""
+    (single, num_same), (was_single, was_same) = _sides(mesh), _sides(before)
+    return np.array_equal(single, was_single) and num_same <= was_same
 
 
-@entry
-def _same_places(place_m: np.ndarray, old_m: np.ndarray, number: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The number (v,) of the last of the old places (n, 3), which are sorted by x, that is the same as each place (v,
-    3); -1 for none. first: the old place from which on x is the same or more."""
-    result = np.full(len(place_m), -1)
-    for k, old in enumerate(first):
-        while old < len(old_m) and old_m[old, 0] == place_m[k, 0]:
-            if old_m[old, 1] == place_m[k, 1] and old_m[old, 2] == place_m[k, 2]:
-                result[k] = number[old]
-            old += 1
-    return result
+def _sides(mesh: Mesh) -> tuple[np.ndarray, int]:
+    """(those sides of triangles that have none beside them, int (k,), start times the number of vertices plus end,
+    ascending; how often two triangles have the same side)."""
+    size, start = len(mesh.vertex_m), mesh.triangle.astype(np.int64)
+    end = start.take(NEXT, 1)
+    forward, back = np.sort((start * size + end).ravel()), np.sort((end * size + start).ravel())
+    num_same = int(np.count_nonzero(forward[1:] == forward[:-1]))
+    return forward[back[np.minimum(np.searchsorted(back, forward), len(back) - 1)] != forward], num_same
 
 
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:
@@ -220,10 +255,10 @@ def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:
 
 
 def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
-    """The mesh after the ends of an edge have become one vertex."""
-    has_both = (mesh.triangle == end).any(axis=1) & (mesh.triangle == gone).any(axis=1)
+    """The mesh after the ends of an edge have become one vertex; the other one has no triangle."""
+    stays = ~((mesh.triangle == end).any(axis=1) & (mesh.triangle == gone).any(axis=1))
     triangle = np.where(mesh.triangle == gone, end, mesh.triangle)
-    return replace(mesh, triangle=triangle).part(~has_both)
+    return Mesh(mesh.vertex_m, triangle[stays], mesh.kind[stays], mesh.label[stays])
 
 
 def _flipped(mesh: Mesh) -> Mesh:
@@ -233,11 +268,13 @@ def _flipped(mesh: Mesh) -> Mesh:
         side = int(mesh.edge_m[t].argmax())
         start, _, corner = np.roll(mesh.triangle[t], -side)
         across, there = divmod(int(mesh.twin[t, side]), 3)
+        if across < 0:
+            continue
         end, _, far = np.roll(mesh.triangle[across], -there)
         triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
         triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), across
         result = replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
-        if _is_thin(result).sum() < _is_thin(mesh).sum() and result.is_closed:
+        if _is_thin(result).sum() < _is_thin(mesh).sum() and _is_as_closed(result, mesh):
             return _flipped(result)
     return mesh
 

@@ -23,9 +23,18 @@ def any_intersect(
         for i in range(3):
             a, b, c = corner_m[t, 0, i], corner_m[t, 1, i], corner_m[t, 2, i]
             low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
+    # those in the box of all that are asked
+    least, most, is_there = np.full(3, np.inf), np.full(3, -np.inf), np.ones(num, np.bool_)
+    for s in asked:
+        for i in range(3):
+            least[i], most[i] = min(least[i], low[s, i]), max(most[i], high[s, i])
+    for t in range(num):
+        for i in range(3):
+            is_there[t] &= low[t, i] <= most[i] and high[t, i] >= least[i]
+    order = np.flatnonzero(is_there)
     # in the order of where they begin, so that few are compared
-    order = np.argsort(low[:, 0].copy())
-    begin, widest = low[order, 0], (high[:, 0] - low[:, 0]).max()
+    order = order[np.argsort(low[order, 0])]
+    begin, widest = low[order, 0], (high[order, 0] - low[order, 0]).max() if len(order) else 0.0
     is_done = np.zeros(num, np.bool_)
     for s in asked:
         is_done[s] = True

@@ -159,6 +159,26 @@ def test_short_edges_go_though_planes_elsewhere_do_not_meet() -> None:
     assert exact.vertex_m[exact.vertex_m[:, 0] < 20].tolist() == bent_m.tolist()
 
 
+def test_an_edge_is_tried_with_the_planes_around_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside nine others, a step goes as it does alone, and no more is looked at."""
+    sizes: list[int] = []
+
+    def counted(mesh: Mesh, *more: Any, **options: Any) -> tuple[Mesh, np.ndarray]:
+        if options["only"] is not None:
+            sizes.append(len(mesh.vertex_m))
+        return with_meeting_planes(mesh, *more, **options)
+
+    monkeypatch.setattr(planar, "with_meeting_planes", counted)
+    step = boxes(0.02)
+    alone = with_exact_faces(step)
+    size = max(sizes)
+    together = with_exact_faces(Mesh.joined([step.translated([20.0 * k, 0, 0]) for k in range(10)]))
+    assert max(sizes) == size
+    assert len(together.triangle) == 10 * len(alone.triangle) < 10 * len(step.triangle)
+    first = together.vertex_m[together.vertex_m[:, 0] < 15]
+    np.testing.assert_array_equal(first[np.lexsort(first.T)], alone.vertex_m[np.lexsort(alone.vertex_m.T)])
+
+
 def test_a_corner_of_the_footprint_beside_the_line_of_its_wall_keeps_no_short_edge() -> None:
     """Three millimetres, as outlines are rounded, between two pieces of one wall. The low step there goes."""
     corner = [6, 3e-3]
