@@ -13,6 +13,7 @@ import shapely
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.types import cross, differs, distinct, numbered
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
@@ -89,9 +90,28 @@ def lines_of(
     sides_m = _extents(point_m, label, plane, axes, by_x, by_label, begin, settings.reach_m)
     normals = axes.repeat(2, axis=0)
     steps += [Line(normal, *side) for normal, side in zip(normals, sides_m.tolist(), strict=True)]
+    meets, steps = (_into_shadow(each, point_m, settings) for each in (meets, steps))
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
     steps = snapped + [edge for edge, is_reflex in edges if is_reflex]
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
+
+
+def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) -> list[Line]:
+    """The lines, which go on from their ends where nothing is seen."""
+    further_m = settings.hidden_m - settings.reach_m
+    if further_m <= 0.0 or not lines:
+        return list(lines)
+    way_m = np.linspace(0.0, further_m, int(further_m / settings.reach_m) + 2)
+    ahead = np.array([line.direction for line in lines])[:, None] * [[[-1.0], [1.0]]]
+    place_m = ends_of(lines)[:, :, None] + ahead[:, :, None] * way_m[:, None]
+    away_m = nearest(point_m[:, :2], place_m.reshape(-1, 2))[0].reshape(place_m.shape[:3])
+    is_seen = np.concatenate([away_m < settings.reach_m, np.ones_like(away_m[:, :, :1], bool)], axis=2)
+    # up to the last place before one that is seen
+    low_m, high_m = way_m[np.maximum(is_seen.argmax(axis=2) - 1, 0)].T.tolist()
+    return [
+        line._replace(low_m=line.low_m - low, high_m=line.high_m + high)
+        for line, low, high in zip(lines, low_m, high_m, strict=True)
+    ]
 
 
 def _between(

@@ -645,6 +645,31 @@ def test_a_ridge_goes_on_in_the_shadow_of_a_higher_house() -> None:
     assert fit is not None and residuals_m(fit, point_m).mean() < 0.06
 
 
+def test_lines_go_on_where_nothing_is_seen_and_nowhere_else() -> None:
+    """Three roofs of two levels in a row; the last is in a shadow but for 5 m."""
+    footprint = [np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 20.0], [0.0, 20.0]])]
+    xy_m = np.stack(np.meshgrid(np.arange(0.25, 60, 0.5), np.arange(0.25, 20, 0.5)), axis=-1).reshape(-1, 2)
+    number = (xy_m[:, 0] // 20).astype(int)
+    label = 2 * number + (xy_m[:, 1] > 6 + 4 * number)
+    point_m = np.column_stack([xy_m, 5.0 + label])
+    is_seen = xy_m[:, 0] < 45
+    plane = np.column_stack([np.zeros((6, 2)), 5.0 + np.arange(6)])
+    lines = lines_of(
+        footprint, plane, label[is_seen], point_m[is_seen], [0.0], PLANES.drawing._replace(hidden_m=16.0)
+    )
+    ends_m = {
+        number: max(
+            line.direction[0] * (line.high_m if line.direction[0] > 0 else line.low_m)
+            for line in lines
+            if abs(line.normal[1]) == 1 and abs(line.offset_m * line.normal[1] - 6 - 4 * number) < 0.3
+        )
+        for number in range(3)
+    }
+    reach_m = PLANES.drawing.reach_m
+    assert ends_m[0] < 20 + 2 * reach_m and ends_m[1] < 40 + 2 * reach_m
+    assert ends_m[2] >= 60
+
+
 def test_two_of_few_points_make_no_face_and_five_do() -> None:
     """Each stands for six square metres."""
     xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
