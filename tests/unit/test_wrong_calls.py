@@ -121,7 +121,11 @@ def test_what_people_have_works() -> None:
     for plans in (gpd.GeoSeries([house], crs=2154), [house], house, np.array([house]), footprints()[:1]):
         scene = p2wss.reconstruct(cloud, plans, **options)
         volumes |= {building.mesh.volume for building in scene.values()}
-    for points in (cloud.tolist(), pd.DataFrame(cloud)):
+    # fill values beside the points
+    masked = np.ma.masked_less(
+        np.vstack([cloud, np.full((200, 4), -9999.0), [[5.0, 3.0, -9999.0, 6.0]] * 200]), -9
+    )
+    for points in (cloud.tolist(), pd.DataFrame(cloud), masked):
         (building,) = p2wss.reconstruct(points, [house], **options | {"crs": 2154}).values()
         volumes.add(building.mesh.volume)
     assert len(volumes) == 1

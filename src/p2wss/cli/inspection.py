@@ -150,8 +150,10 @@ def _other(path: Path) -> Facts:
     """Of a vector file of another type, which GDAL may know."""
     import pyogrio
 
+    from p2wss.footprints.vector_files import unpacked
+
     try:
-        pyogrio.list_layers(path)
+        pyogrio.list_layers(unpacked(path))
     except pyogrio.errors.DataSourceError as error:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
         raise InputError(
@@ -163,12 +165,15 @@ def _other(path: Path) -> Facts:
 def _vector(path: Path) -> Facts:
     import pyogrio
 
-    from p2wss.footprints.vector_files import decoded
+    from p2wss.footprints.vector_files import decoded, unpacked
 
     layers: list[Facts] = []
     info: Facts = {}
-    for name in pyogrio.list_layers(path)[:, 0]:
-        info = decoded(path, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True)
+    source = unpacked(path)
+    for name in pyogrio.list_layers(source)[:, 0]:
+        info = decoded(
+            source, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True
+        )
         metadata = info["layer_metadata"] or {}
         bounds = info["total_bounds"]
         layers.append(

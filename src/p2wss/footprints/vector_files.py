@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import warnings
 from collections.abc import Callable, Iterator
@@ -34,6 +35,8 @@ _KINDS = {"polygons": ("Polygon", "Surface"), "lines": ("LineString", "Curve")}
 # endings of tables as text, and columns in which they may have geometry
 _TABLES = (".csv", ".tsv", ".psv")
 _WKT_COLUMNS = ("WKT", "geometry", "geom", "the_geom", "wkt_geom")
+# of files in a .zip that are read
+_PACKED = (".shp", ".gpkg", ".gdb", ".geojson", ".fgb", ".gml", ".kml")
 
 
 def read_vector(
@@ -43,7 +46,7 @@ def read_vector(
 
     layer: its name; "" is the first that may have ``of``, polygons or lines, with a note if there are others. bounds:
     only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of a TIN,
-    the faces of a polyhedral surface a multipolygon. Times are text.
+    the faces of a polyhedral surface a multipolygon. Times are text. Files in a .zip are read without unpacking.
 
     Raises :class:`InputError` if the file is missing or broken, or has no geometry or no layer of this name.
     """
@@ -70,8 +73,9 @@ def read_vector(
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
+        source = unpacked(path, layer)
         meta, number, wkb, values = decoded(
-            path,
+            source,
             pyogrio.raw.read,
             layer=chosen,
             bbox=bounds,
@@ -81,6 +85,9 @@ def read_vector(
         )
     if wkb is None:
         raise InputError(f"{path}: {no_geometry(path)}")
+    if str(source).lower().endswith(".shp") and not values:  # each .dbf has a column
+        text = "warning: %s: has no .dbf, or a damaged one, and thus neither ids nor other columns"
+        log.warning(text, path)
     with reading(path, _KIND):
         try:
             shapes = shapely.from_wkb(wkb)
@@ -109,6 +116,30 @@ def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
             text = "warning: %s: its text is not in the encoding that its .cpg states; ISO-8859-1 is taken"
             log.warning(text, path)
         return read(path, encoding="ISO-8859-1" if states else None, **options)
+
+
+def unpacked(path: str | Path, layer: str = "") -> str | Path:
+    """What GDAL is to open of a file: of a .zip the vector file in it, in whatever folder, or the folder of several
+    shapefiles, which are its layers. Raises :class:`InputError` if several have a layer of this name, or none."""
+    if Path(path).suffix.lower() != ".zip":
+        return path
+    import zipfile
+
+    with reading(path, _KIND), zipfile.ZipFile(path) as packed:
+        # of a file geodatabase, its folder
+        found = {re.sub(r"(?i)(\.gdb)/.*", r"\1", name) for name in packed.namelist()}
+    names = sorted(name for name in found if name.lower().endswith(_PACKED))
+    folders = {name.rpartition("/")[0] for name in names}
+    if len(names) > 1 and len(folders) == 1 and all(name.lower().endswith(".shp") for name in names):
+        names = list(folders)
+    with _opening(path):
+        sources = [f"/vsizip/{{{path}}}/{name}".rstrip("/") for name in names]
+        layers = {each: pyogrio.list_layers(each)[:, 0].tolist() for each in sources}
+    fitting = [each for each, of_file in layers.items() if not layer or layer in of_file]
+    if len(layers) > 1 and len(fitting) != 1:
+        known = ", ".join(name for of_file in layers.values() for name in of_file)
+        raise InputError(f"{path}: has several vector files; state one with --layer, or unpack it: {known}")
+    return next(iter(fitting or layers), path)
 
 
 @contextmanager
@@ -165,7 +196,7 @@ def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | N
             raise InputError(f"{path}: has no layers; omit --layer")
         return None, []
     with _opening(path):
-        layers = pyogrio.list_layers(path).tolist()
+        layers = pyogrio.list_layers(unpacked(path, stated)).tolist()
     names = [str(name) for name, _ in layers]
     if stated and stated not in names:
         raise InputError(f"{path}: has no layer {stated}; its layers are {', '.join(names)}")
@@ -189,7 +220,8 @@ def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
         with _opening(path):
             # several layers are reported when the file is read
             warnings.simplefilter("ignore")
-            info = dict(decoded(path, pyogrio.read_info, layer=chosen, **_options(path)))
+            source = unpacked(path, layer)
+            info = dict(decoded(source, pyogrio.read_info, layer=chosen, **_options(path)))
     return info | {"layer": chosen, "other_layers": others}
 
 
@@ -228,7 +260,7 @@ def _attributes(
         frame = pd.read_parquet(path, columns=list(columns))
         return columns_of(frame), np.arange(len(frame))
     meta, number, _, values = decoded(
-        path,
+        unpacked(path, layer),
         pyogrio.raw.read,
         layer=_layer(path, layer)[0],
         columns=list(columns),

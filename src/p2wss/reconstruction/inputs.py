@@ -21,7 +21,7 @@ from p2wss.data.crs import MetricCrs, check_crs, common_crs, doubtful_order, met
 from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet, class_set
 from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, are_near
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
@@ -42,6 +42,8 @@ LineInput: TypeAlias = FootprintInput
 _SAME_UNIT = 1e-5
 # steps of coordinates that move walls visibly
 _COARSE = 0.1
+# files of one run are hardly farther apart
+_FAR_M = 100_000.0
 # what messages and outputs call data without a file
 _CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
 
@@ -148,6 +150,7 @@ def check_inputs(
     metric, note_of_units = _metric(source, headers, points, config.reconstruct.height_unit)
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)
+    _check_places(headers, header, metric)
     if not may_be_empty and not any(each.num_points for each in headers):
         raise InputError(f"{headers[0].path}: has no points")
     raster = None
@@ -194,6 +197,24 @@ def _check_heights(headers: Sequence[CloudHeader], unit: str) -> None:
             raise InputError(f"{words}; convert one of them, or state --height-unit if one is wrong")
         if UNKNOWN not in (heights.name, first.name) and heights.name != first.name:
             log.warning("warning: %s; none is converted", words)
+
+
+def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, metric: MetricCrs) -> None:
+    """Warn of files that state no CRS and are far from ``known``, in whose CRS they are taken to be."""
+    place = known.bounds and metric.bounds_of_run(known.bounds)
+    unstated = [(each.path, each.bounds) for each in headers if each.crs is None and each.bounds is not None]
+    far = [
+        str(path)
+        for path, bounds in unstated
+        if place and not are_near(metric.bounds_of_run(bounds), place, _FAR_M)
+    ]
+    if far:
+        log.warning(
+            "warning: %s: states no CRS, and would be more than %g km from %s; if it is in another CRS, reproject it",
+            ", ".join(far[:3]) + " .." * (len(far) > 3),
+            _FAR_M / 1000,
+            known.path,
+        )
 
 
 def read_cloud(
@@ -318,7 +339,7 @@ def _in_memory(cloud: CloudInput) -> Cloud:
         if {"x", "y", "z"} <= named.keys():
             chosen = [named[name] for name in ("x", "y", "z", "classification") if name in named]
             table = np.column_stack([_numbers(table[name], name) for name in chosen])
-        points = np.asarray(table, dtype=float)
+        points: np.ndarray = np.ma.asarray(table, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"the cloud is a {type(cloud).__name__}; give LAS files or points, before the footprints"
@@ -327,6 +348,10 @@ def _in_memory(cloud: CloudInput) -> Cloud:
         raise InputError(
             f"the cloud has shape {points.shape}; give points as (n, 3), or (n, 4) with LAS classes"
         )
+    whole: np.ndarray = np.ma.compress_rows(points)
+    if len(whole) < len(points):
+        log.info("note: %d points of the cloud are masked, and left out", len(points) - len(whole))
+    points = whole
     # 1: unclassified
     classes = points[:, 3] if points.shape[1] == 4 else np.ones(len(points))
     if not np.isfinite(points).all() or not ((classes >= 0) & (classes < 256)).all():

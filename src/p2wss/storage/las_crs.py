@@ -20,6 +20,9 @@ from p2wss.storage.log_lines import log
 UNKNOWN = "unknown height"
 # GeoTIFF keys
 _GEOGRAPHIC_CRS, _PROJECTED_CRS, _LINEAR_UNIT, _VERTICAL_CRS, _VERTICAL_UNIT = 2048, 3072, 3076, 4096, 4099
+_NO_CODE = 32767
+# record of WKT, of the specification and of libLAS, which wrote it beside keys before LAS 1.4 had it
+_WKT = 2112
 # of GeoTIFF 1.0: its codes of vertical CRSs, and EPSG's of the same
 _OLD_VERTICAL = {5101: 5701, 5102: 7968, 5103: 5703, 5104: 5704, 5105: 5705}
 _VERTICAL_WKT = re.compile(r"\b(VERT_CS|VERTCS|VERTCRS|VERTICALCRS)\s*\[", re.IGNORECASE)
@@ -41,21 +44,30 @@ def stated_crs(header: laspy.LasHeader) -> Stated:
     """All that a header states, with what was chosen where two statements contradict each other."""
     doubts: list[str] = []
     records = [*header.vlrs, *(header.evlrs or [])]
-    of_wkt = next(_of_wkt(records, doubts), None)
-    of_keys, heights = None, None
+    of_wkts = list(_of_wkt(records, "LASF_Projection", doubts))
+    of_wkt = next(filter(placed, of_wkts), None)
+    of_keys, heights, keys = None, None, {}
     for record in records:
         if isinstance(record, laspy.vlrs.known.GeoKeyDirectoryVlr):
             keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
             of_keys = _of_keys(keys, header, doubts)
             heights = _heights(keys, doubts)
+    if of_wkt is None and of_keys is None:
+        of_wkts += _of_wkt(records, "liblas", doubts)
+        of_wkt = next(filter(placed, of_wkts), None)
     crs = of_wkt or of_keys
+    if crs is None and keys.get(_PROJECTED_CRS) == _NO_CODE:
+        doubts.append(
+            "its GeoTIFF keys describe a projection without a code, which is not read; state it with --crs"
+        )
     if of_wkt is not None and of_keys is not None and not _same_plane(of_wkt, of_keys):
         crs = _one_of((of_wkt, of_keys), header)
         doubts.append(
             f"WKT states {of_wkt.name}, GeoTIFF keys {of_keys.name}; {crs.name} is taken, in which its bounds are"
             " plausible"
         )
-    if of_wkt is not None and (vertical := vertical_part(of_wkt)) is not None:
+    vertical = next((part for part in map(vertical_part, of_wkts) if part is not None), None)
+    if vertical is not None:
         if heights is not None and unit_m(heights) != unit_m(vertical):
             doubts.append(
                 f"WKT states heights in units of {unit_m(vertical):.10g} m, GeoTIFF keys of {unit_m(heights):.10g} m;"
@@ -76,9 +88,12 @@ def crs_of(header: laspy.LasHeader) -> pyproj.CRS | None:
 
 
 def vertical_part(crs: pyproj.CRS) -> pyproj.CRS | None:
-    """The vertical CRS of a compound one; of heights above an ellipsoid one without a name; None without heights."""
+    """The vertical CRS of a compound one, or of heights alone; of heights above an ellipsoid one without a name; None
+    without heights."""
     if crs.is_compound:
         return crs.sub_crs_list[1]
+    if crs.is_vertical:
+        return crs
     return _in_unit(crs.axis_info[2].unit_conversion_factor) if len(crs.axis_info) == 3 else None
 
 
@@ -103,23 +118,28 @@ def in_unit(crs: pyproj.CRS, length_m: float) -> pyproj.CRS:
     return pyproj.CRS.from_json_dict(stated)
 
 
-def _of_wkt(records: Iterable[laspy.vlrs.vlr.BaseVLR], doubts: list[str]) -> Iterator[pyproj.CRS]:
+def _of_wkt(
+    records: Iterable[laspy.vlrs.vlr.BaseVLR], user_id: str, doubts: list[str]
+) -> Iterator[pyproj.CRS]:
     for record in records:
-        if not isinstance(record, laspy.vlrs.known.WktCoordinateSystemVlr) or not record.string:
+        if (record.user_id, record.record_id) != (user_id, _WKT):
+            continue
+        wkt = record.record_data_bytes().rstrip(b"\0 ").decode("utf-8", "replace")
+        if not wkt:
             continue
         try:
-            crs = pyproj.CRS.from_wkt(record.string)
+            crs = pyproj.CRS.from_wkt(wkt)
         except pyproj.exceptions.CRSError as error:
             doubts.append(f"its WKT is not used: {error}")
             continue
-        if placed(crs) is None:
+        if placed(crs) is None and vertical_part(crs) is not crs:
             doubts.append(f"its CRS, {crs.name}, is not used: it is neither projected nor in degrees")
             continue
         # PROJ reads no further than to the end of the first CRS
-        beside = _VERTICAL_WKT.search(record.string)
+        beside = _VERTICAL_WKT.search(wkt)
         if vertical_part(crs) is None and beside is not None:
             try:
-                crs = with_heights(crs, pyproj.CRS.from_wkt(_balanced(record.string[beside.start() :])))
+                crs = with_heights(crs, pyproj.CRS.from_wkt(_balanced(wkt[beside.start() :])))
             except pyproj.exceptions.CRSError as error:
                 doubts.append(f"the heights in its WKT are not used: {error}")
         yield crs

@@ -139,11 +139,58 @@ def test_text_of_shapefiles_whatever_their_cpg(
     assert ("ISO-8859-1 is taken" in caplog.text) == ((written, stated) == ("ISO-8859-1", "UTF-8"))
 
 
-def test_a_packed_folder_is_to_be_unpacked(tmp_path: Path) -> None:
-    path = tmp_path / "f.zip"
-    houses.footprints().to_file(tmp_path / "f.shp")
+def _packed(path: Path, files: dict[Path, str]) -> Path:
     with zipfile.ZipFile(path, "w") as packed:
-        for file in tmp_path.glob("f.[!z]*"):
-            packed.write(file, f"folder/{file.name}")
+        for file, name in files.items():
+            packed.write(file, name)
+    return path
+
+
+@pytest.mark.parametrize("folder", ["", "delivery/Gebäude 2024/"])
+@pytest.mark.parametrize("kind", ["shp", "gpkg", "gdb"])
+def test_archives_are_read_as_portals_deliver_them(kind: str, folder: str, tmp_path: Path) -> None:
+    frame = houses.footprints().assign(id=["Größe", "b"])
+    frame.to_file(tmp_path / f"f.{kind}", **({"driver": "OpenFileGDB"} if kind == "gdb" else {}))
+    (tmp_path / "f.cpg").unlink(missing_ok=True)
+    (tmp_path / "f.txt").write_text("a licence")
+    files = [each for each in tmp_path.rglob("*") if each.is_file()]
+    names = {file: folder + str(file.relative_to(tmp_path)) for file in files}
+    path = _packed(tmp_path / "f.ZIP", names)
+    assert layer_info(path)["fields"].tolist() == ["id"]
+    assert read_footprints(path)["building_id"].tolist() == ["Größe", "b"]
+    window = (*houses.PLACES["EPSG:2154"], 653_000.0, 6_863_000.0)
+    assert read_footprints(path, bounds=window)["building_id"].tolist() == ["Größe", "b"]
+
+
+def test_of_several_files_in_an_archive_one_is_to_be_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("houses", "barns"):
+        houses.footprints().assign(id=[name, "b"]).to_file(tmp_path / f"{name}.shp")
+    files = sorted(tmp_path.glob("*.*"))
+    together = _packed(tmp_path / "together.zip", {each: f"x/{each.name}" for each in files})
+    apart = _packed(tmp_path / "apart.zip", {each: f"{each.stem}/{each.name}" for each in files})
+    with caplog.at_level("INFO"):
+        assert read_footprints(together)["building_id"].tolist() == ["barns", "b"]
+    assert "--layer reads another: houses" in caplog.text
+    with pytest.raises(InputError, match=r"several vector files; state one with --layer.*: barns, houses"):
+        read_footprints(apart)
+    for path in (together, apart):
+        assert read_footprints(path, layer="houses")["building_id"].tolist() == ["houses", "b"]
     with pytest.raises(InputError, match="unpack it"):
-        read_footprints(path)
+        read_footprints(_packed(tmp_path / "nothing.zip", {files[0]: "a.txt"}))
+
+
+@pytest.mark.parametrize("num_bytes", [0, 40])
+def test_a_shapefile_without_its_table_is_told(
+    num_bytes: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    houses.write_footprints(path := tmp_path / "f.shp")
+    table = path.with_suffix(".dbf")
+    table.write_bytes(table.read_bytes()[:num_bytes])
+    if not num_bytes:
+        table.unlink()
+    assert read_footprints(path)["building_id"].tolist() == ["0", "1"]
+    assert "f.shp: has no .dbf, or a damaged one" in caplog.text
+    with pytest.raises(InputError, match="has no column id; its columns are none"):
+        read_footprints(path, id_field="id")

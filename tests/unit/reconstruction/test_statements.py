@@ -319,7 +319,8 @@ def test_a_crs_that_is_no_place_counts_as_none(
     footprints = houses.footprints()
     cloud = houses.write_cloud(tmp_path / "c.laz", stated=houses.header(wkt))
     assert_right(built(cloud, footprints))
-    assert "is not used: it is neither projected nor in degrees" in caplog.text
+    is_height = wkt.startswith("VERTCRS")  # which is used, of heights
+    assert ("is not used: it is neither projected nor in degrees" in caplog.text) != is_height
     assert_right(built(cloud, footprints.set_crs(wkt, allow_override=True), crs=footprints.crs))
     footprints.to_crs(4326).set_crs(None, allow_override=True).to_file(tmp_path / "f.gpkg")
     with pytest.raises(InputError, match=r"too-small.*look like degrees"):
@@ -342,6 +343,20 @@ def test_the_setting_of_the_layer_has_its_name_in_python(
     with caplog.at_level("INFO"):
         built(houses.write_cloud(tmp_path / "c.laz"), tmp_path / "f.gpkg")
     assert "reconstruct.footprint_layer reads another: others" in caplog.text
+
+
+@pytest.mark.parametrize("other", ["EPSG:32631", "EPSG:4326"])
+@pytest.mark.parametrize("is_stated", [True, False])
+def test_a_file_far_from_the_first_that_states_no_crs_is_named(
+    other: str, is_stated: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    first = houses.write_cloud(tmp_path / "1.laz", stated=None if is_stated else houses.header())
+    second = houses.write_cloud(tmp_path / "2.laz", crs=other, stated=houses.header())
+    beside = houses.write_cloud(tmp_path / "3.laz", stated=houses.header())
+    assert_right(built([first, beside], houses.footprints()))
+    assert "states no CRS" not in caplog.text
+    assert_right(built([first, beside, second], houses.footprints()))
+    assert f"{second}: states no CRS, and would be more than 100 km from {first}" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,15 @@ def test_heights_without_a_unit_state_none() -> None:
     assert stated(houses.header(keys={3072: 26910, 4096: 5103})) == (PLANE.name, 1.0, 0)
 
 
+@pytest.mark.parametrize("kind", ["WKT1_GDAL", "WKT1_ESRI", "WKT2_2019"])
+def test_heights_in_feet_that_are_stated_alone(kind: str) -> None:
+    alone = stated_crs(houses.header(pyproj.CRS("EPSG:6360").to_wkt(kind)))
+    assert alone.crs is None and not alone.doubts and alone.heights is not None
+    assert unit_m(alone.heights) == pytest.approx(houses.SURVEY_FOOT_M, rel=1e-9)
+    beside = stated(houses.header(pyproj.CRS("EPSG:6360").to_wkt(kind), {3072: 26910}))
+    assert beside == (PLANE.name, pytest.approx(houses.SURVEY_FOOT_M), 0)
+
+
 def test_of_two_units_of_heights_one_is_taken_and_both_are_named() -> None:
     header = houses.header(keys={3072: 26910, 4096: 5703, 4099: FOOT})
     assert stated(header) == (PLANE.name, pytest.approx(0.3048), 1)
@@ -98,3 +107,15 @@ def test_keys_count_where_the_wkt_is_broken(tmp_path: Path) -> None:
     path = houses.write_cloud(tmp_path / "a.laz", UTM, stated=houses.header("PROJCS[", {3072: 26910}))
     (found,) = read_headers([path])
     assert found.crs == PLANE and "WKT is not used" in found.doubts[0]
+
+
+def test_a_projection_without_a_code_is_that_of_liblas_or_told() -> None:
+    header = houses.header(keys={3072: 32767, 3076: FOOT})
+    (doubt,) = stated_crs(header).doubts
+    assert "a projection without a code" in doubt and stated_crs(header).crs is None
+    wkt = pyproj.CRS("EPSG:2992").to_wkt("WKT1_GDAL").encode()
+    header.vlrs.append(laspy.VLR("liblas", 2112, "", wkt + b"\0"))
+    assert stated(header) == ("NAD83 / Oregon GIC Lambert (ft)", None, 0)
+    # keys with a code are newer
+    header.vlrs[0].geo_keys[2].value_offset = 26910
+    assert stated(header) == (PLANE.name, None, 1)
