@@ -86,8 +86,9 @@ def read_vector(
     if wkb is None:
         raise InputError(f"{path}: {no_geometry(path)}")
     if str(source).lower().endswith(".shp") and not values:  # each .dbf has a column
-        text = "warning: %s: has no .dbf, or a damaged one, and thus neither ids nor other columns"
-        log.warning(text, path)
+        log.warning(
+            "warning: %s: has no .dbf, or a damaged one, and thus neither ids nor other columns", path
+        )
     with reading(path, _KIND):
         try:
             shapes = shapely.from_wkb(wkb)
@@ -119,27 +120,26 @@ def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
 
 
 def unpacked(path: str | Path, layer: str = "") -> str | Path:
-    """What GDAL is to open of a file: of a .zip the vector file in it, in whatever folder, or the folder of several
-    shapefiles, which are its layers. Raises :class:`InputError` if several have a layer of this name, or none."""
+    """What GDAL is to open of a file: of a .zip the vector file in it, in whatever folder.
+
+    Raises :class:`InputError` if there are several, of which not one has a layer of this name."""
     if Path(path).suffix.lower() != ".zip":
         return path
     import zipfile
 
-    with reading(path, _KIND), zipfile.ZipFile(path) as packed:
-        # of a file geodatabase, its folder
-        found = {re.sub(r"(?i)(\.gdb)/.*", r"\1", name) for name in packed.namelist()}
-    names = sorted(name for name in found if name.lower().endswith(_PACKED))
-    folders = {name.rpartition("/")[0] for name in names}
-    if len(names) > 1 and len(folders) == 1 and all(name.lower().endswith(".shp") for name in names):
-        names = list(folders)
     with _opening(path):
-        sources = [f"/vsizip/{{{path}}}/{name}".rstrip("/") for name in names]
-        layers = {each: pyogrio.list_layers(each)[:, 0].tolist() for each in sources}
-    fitting = [each for each, of_file in layers.items() if not layer or layer in of_file]
-    if len(layers) > 1 and len(fitting) != 1:
-        known = ", ".join(name for of_file in layers.values() for name in of_file)
-        raise InputError(f"{path}: has several vector files; state one with --layer, or unpack it: {known}")
-    return next(iter(fitting or layers), path)
+        with zipfile.ZipFile(path) as packed:
+            # of a file geodatabase, its folder
+            names = {re.sub(r"(?i)(\.gdb)/.*", r"\1", name) for name in packed.namelist()}
+        files = sorted(f"/vsizip/{{{path}}}/{name}" for name in names if name.lower().endswith(_PACKED))
+        layers = {file: pyogrio.list_layers(file)[:, 0].tolist() for file in files}
+    fitting = [file for file, names in layers.items() if not layer or layer in names]
+    if len(files) > 1 and len(fitting) != 1:
+        known = ", ".join(name for names in layers.values() for name in names)
+        raise InputError(
+            f"{path}: has several vector files; state a layer with --layer, or unpack it: {known}"
+        )
+    return next(iter(fitting or files), path)
 
 
 @contextmanager

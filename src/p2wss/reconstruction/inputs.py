@@ -202,11 +202,13 @@ def _check_heights(headers: Sequence[CloudHeader], unit: str) -> None:
 def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, metric: MetricCrs) -> None:
     """Warn of files that state no CRS and are far from ``known``, in whose CRS they are taken to be."""
     place = known.bounds and metric.bounds_of_run(known.bounds)
-    unstated = [(each.path, each.bounds) for each in headers if each.crs is None and each.bounds is not None]
     far = [
-        str(path)
-        for path, bounds in unstated
-        if place and not are_near(metric.bounds_of_run(bounds), place, _FAR_M)
+        str(each.path)
+        for each in headers
+        if each.crs is None
+        and each.bounds
+        and place
+        and not are_near(metric.bounds_of_run(each.bounds), place, _FAR_M)
     ]
     if far:
         log.warning(

@@ -20,9 +20,8 @@ from p2wss.storage.log_lines import log
 UNKNOWN = "unknown height"
 # GeoTIFF keys
 _GEOGRAPHIC_CRS, _PROJECTED_CRS, _LINEAR_UNIT, _VERTICAL_CRS, _VERTICAL_UNIT = 2048, 3072, 3076, 4096, 4099
-_NO_CODE = 32767
-# record of WKT, of the specification and of libLAS, which wrote it beside keys before LAS 1.4 had it
-_WKT = 2112
+# a projection without a code, and the record of WKT, also of libLAS, which wrote it beside keys before LAS 1.4 had it
+_NO_CODE, _WKT = 32767, 2112
 # of GeoTIFF 1.0: its codes of vertical CRSs, and EPSG's of the same
 _OLD_VERTICAL = {5101: 5701, 5102: 7968, 5103: 5703, 5104: 5704, 5105: 5705}
 _VERTICAL_WKT = re.compile(r"\b(VERT_CS|VERTCS|VERTCRS|VERTICALCRS)\s*\[", re.IGNORECASE)
@@ -44,17 +43,16 @@ def stated_crs(header: laspy.LasHeader) -> Stated:
     """All that a header states, with what was chosen where two statements contradict each other."""
     doubts: list[str] = []
     records = [*header.vlrs, *(header.evlrs or [])]
-    of_wkts = list(_of_wkt(records, "LASF_Projection", doubts))
-    of_wkt = next(filter(placed, of_wkts), None)
     of_keys, heights, keys = None, None, {}
     for record in records:
         if isinstance(record, laspy.vlrs.known.GeoKeyDirectoryVlr):
             keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
             of_keys = _of_keys(keys, header, doubts)
             heights = _heights(keys, doubts)
-    if of_wkt is None and of_keys is None:
+    of_wkts = list(_of_wkt(records, "LASF_Projection", doubts))
+    if of_keys is None and not of_wkts:
         of_wkts += _of_wkt(records, "liblas", doubts)
-        of_wkt = next(filter(placed, of_wkts), None)
+    of_wkt = next(filter(placed, of_wkts), None)
     crs = of_wkt or of_keys
     if crs is None and keys.get(_PROJECTED_CRS) == _NO_CODE:
         doubts.append(

@@ -157,28 +157,22 @@ def test_archives_are_read_as_portals_deliver_them(kind: str, folder: str, tmp_p
     names = {file: folder + str(file.relative_to(tmp_path)) for file in files}
     path = _packed(tmp_path / "f.ZIP", names)
     assert layer_info(path)["fields"].tolist() == ["id"]
-    assert read_footprints(path)["building_id"].tolist() == ["Größe", "b"]
+    assert read_footprints(path, layer="f")["building_id"].tolist() == ["Größe", "b"]
     window = (*houses.PLACES["EPSG:2154"], 653_000.0, 6_863_000.0)
     assert read_footprints(path, bounds=window)["building_id"].tolist() == ["Größe", "b"]
 
 
-def test_of_several_files_in_an_archive_one_is_to_be_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+@pytest.mark.parametrize("folder", ["", "x/", "{}/"])
+def test_of_several_files_in_an_archive_one_is_to_be_named(folder: str, tmp_path: Path) -> None:
     for name in ("houses", "barns"):
         houses.footprints().assign(id=[name, "b"]).to_file(tmp_path / f"{name}.shp")
-    files = sorted(tmp_path.glob("*.*"))
-    together = _packed(tmp_path / "together.zip", {each: f"x/{each.name}" for each in files})
-    apart = _packed(tmp_path / "apart.zip", {each: f"{each.stem}/{each.name}" for each in files})
-    with caplog.at_level("INFO"):
-        assert read_footprints(together)["building_id"].tolist() == ["barns", "b"]
-    assert "--layer reads another: houses" in caplog.text
-    with pytest.raises(InputError, match=r"several vector files; state one with --layer.*: barns, houses"):
-        read_footprints(apart)
-    for path in (together, apart):
-        assert read_footprints(path, layer="houses")["building_id"].tolist() == ["houses", "b"]
+    files = {each: folder.format(each.stem) + each.name for each in tmp_path.glob("*.*")}
+    path = _packed(tmp_path / "f.zip", files)
+    with pytest.raises(InputError, match=r"state a layer with --layer, or unpack it: barns, houses"):
+        read_footprints(path)
+    assert read_footprints(path, layer="houses")["building_id"].tolist() == ["houses", "b"]
     with pytest.raises(InputError, match="unpack it"):
-        read_footprints(_packed(tmp_path / "nothing.zip", {files[0]: "a.txt"}))
+        read_footprints(_packed(tmp_path / "nothing.zip", {next(iter(files)): "a.txt"}))
 
 
 @pytest.mark.parametrize("num_bytes", [0, 40])
