@@ -25,6 +25,8 @@ _NO_CODE, _WKT = 32767, 2112
 # of GeoTIFF 1.0: its codes of vertical CRSs, and EPSG's of the same
 _OLD_VERTICAL = {5101: 5701, 5102: 7968, 5103: 5703, 5104: 5704, 5105: 5705}
 _VERTICAL_WKT = re.compile(r"\b(VERT_CS|VERTCS|VERTCRS|VERTICALCRS)\s*\[", re.IGNORECASE)
+# longer than all feet
+_FOOT_M = 0.31
 # a CRS reaches this far beyond its area of use
 _MARGIN_DEG = 2.0
 
@@ -56,7 +58,7 @@ def stated_crs(header: laspy.LasHeader) -> Stated:
     crs = of_wkt or of_keys
     if crs is None and keys.get(_PROJECTED_CRS) == _NO_CODE:
         doubts.append(
-            "its GeoTIFF keys describe a projection without a code, which is not read; state it with --crs"
+            "its GeoTIFF keys describe a projection without a code, which is not read (--crs states it)"
         )
     if of_wkt is not None and of_keys is not None and not _same_plane(of_wkt, of_keys):
         crs = _one_of((of_wkt, of_keys), header)
@@ -72,6 +74,12 @@ def stated_crs(header: laspy.LasHeader) -> Stated:
                 " the former is taken (--height-unit overrides)"
             )
         heights = vertical
+    if heights is not None and "foot" in heights.axis_info[0].unit_name.lower() and unit_m(heights) > _FOOT_M:
+        name = heights.axis_info[0].unit_name
+        doubts.append(
+            f"it states heights in units of {unit_m(heights):.10g} m with the name {name}; the length is taken"
+            " (--height-unit overrides)"
+        )
     if crs is not None and heights is not None:
         crs = with_heights(crs, heights)
     return Stated(crs, heights, tuple(doubts))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import control_houses as houses
@@ -92,6 +93,15 @@ def test_of_two_units_of_the_plane_the_bounds_tell() -> None:
     assert stated(header, 500_000 / foot_m, 4_983_000 / foot_m)[2] == 1
     feet = stated_crs(header).crs
     assert feet is not None and feet.axis_info[0].unit_conversion_factor == pytest.approx(foot_m)
+
+
+def test_feet_that_are_metres_long_are_doubted() -> None:
+    """As libLAS wrote them."""
+    wkt = pyproj.CRS(FEET).to_wkt("WKT1_GDAL")
+    (vertical,) = re.findall(r"VERT_CS.*", wkt)
+    header = houses.header(wkt.replace(vertical, vertical.replace("0.304800609601219", "1.0")))
+    assert stated(header) == (PLANE.name, 1.0, 1)
+    assert "units of 1 m with the name US survey foot" in stated_crs(header).doubts[0]
 
 
 def test_of_two_planes_the_bounds_tell() -> None:
