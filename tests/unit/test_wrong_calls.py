@@ -129,6 +129,8 @@ def test_what_people_have_works() -> None:
         (building,) = p2wss.reconstruct(points, [house], **options | {"crs": 2154}).values()
         volumes.add(building.mesh.volume)
     assert len(volumes) == 1
+    named = footprints()[:1].set_index("id")
+    assert list(p2wss.reconstruct(cloud, named, **options)) == ["a"] and list(named.columns) == ["geometry"]
     assert list(p2wss.reconstruct(cloud, footprints(), ids="a", bbox=np.array([0, 0, 9, 9]), **options)) == [
         "a"
     ]
@@ -149,6 +151,7 @@ def test_what_people_have_works() -> None:
         ),
         ({"cloud": footprints()}, "the cloud is a GeoDataFrame; .* before the footprints"),
         ({"cloud": np.full((5, 3), np.nan)}, "not finite"),
+        ({"cloud": gable_points() * [1, 1, 1, 0.05]}, "classes that are not whole"),
         (
             {"cloud": pd.DataFrame({"x": [1.0, 2], "Y": ["1", "n/a"], "z": [1, 2]})},
             "the cloud's column Y is not of numbers: could not convert string to float: 'n/a'",

@@ -143,6 +143,8 @@ def check_inputs(
     for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
         log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
     source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
+    if footprints is not None and footprints_crs is None:
+        log.info("note: %s does not state its CRS; assuming %s as that of the clouds", names[1], source.name)
     if header.bounds is not None and (doubt := odd_place(source, header.bounds)):
         log.warning("warning: %s: %s", header.path, doubt)
     if header.bounds is not None and (place := doubtful_order(source, header.bounds)):
@@ -308,6 +310,9 @@ def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path 
             alone = [footprints] if isinstance(footprints, shapely.Geometry) else footprints
             footprints = gpd.GeoSeries(alone).to_frame("geometry")
         footprints.geometry  # noqa: B018
+        names = [each for each in footprints.index.names if each is not None and each not in footprints]
+        if names:  # such as those of set_index, which may be ids
+            footprints = footprints.reset_index(names)
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"the {name} are a {type(footprints).__name__}; give a vector file, a GeoDataFrame or"
@@ -356,8 +361,11 @@ def _in_memory(cloud: CloudInput) -> Cloud:
     points = whole
     # 1: unclassified
     classes = points[:, 3] if points.shape[1] == 4 else np.ones(len(points))
-    if not np.isfinite(points).all() or not ((classes >= 0) & (classes < 256)).all():
-        raise InputError("the cloud has coordinates that are not finite, or classes that are not 0 to 255")
+    is_class = (classes >= 0) & (classes < 256) & (classes % 1 == 0)
+    if not np.isfinite(points).all() or not is_class.all():
+        raise InputError(
+            "the cloud has coordinates that are not finite, or classes that are not whole, 0 to 255"
+        )
     x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
     short = points[:, :2].astype(np.float32)
     step = float(np.spacing(np.abs(short).max(initial=0)))

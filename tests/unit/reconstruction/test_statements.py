@@ -327,6 +327,15 @@ def test_a_crs_that_is_no_place_counts_as_none(
         built(cloud, tmp_path / "f.gpkg", crs=footprints.crs)
 
 
+def test_footprints_that_state_no_crs_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    cloud, path = houses.write_cloud(tmp_path / "c.laz"), houses.write_footprints(tmp_path / "f.shp")
+    for is_told in (False, True):
+        with caplog.at_level("INFO"):
+            assert_right(built(cloud, path))
+        assert ("f.shp does not state its CRS; assuming RGF93 v1 / Lambert-93" in caplog.text) == is_told
+        path.with_suffix(".prj").unlink(missing_ok=True)
+
+
 def test_points_that_do_not_count_are_named_where_none_is_left(tmp_path: Path) -> None:
     cloud = laspy.read(houses.write_cloud(tmp_path / "c.laz"))
     cloud.withheld = np.ones(len(cloud.x), np.uint8)
