@@ -150,10 +150,8 @@ def _other(path: Path) -> Facts:
     """Of a vector file of another type, which GDAL may know."""
     import pyogrio
 
-    from p2wss.footprints.vector_files import unpacked
-
     try:
-        pyogrio.list_layers(unpacked(path))
+        pyogrio.list_layers(path)
     except pyogrio.errors.DataSourceError as error:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
         raise InputError(
@@ -165,12 +163,14 @@ def _other(path: Path) -> Facts:
 def _vector(path: Path) -> Facts:
     import pyogrio
 
-    from p2wss.footprints.vector_files import decoded, unpacked
+    from p2wss.footprints.vector_files import decoded, opening, unpacked
 
     layers: list[Facts] = []
     info: Facts = {}
-    source = unpacked(path)
-    for name in pyogrio.list_layers(source)[:, 0]:
+    with opening(path):
+        source = unpacked(path)
+        names = pyogrio.list_layers(source)[:, 0]
+    for name in names:
         info = decoded(
             source, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True
         )
@@ -324,7 +324,7 @@ _RASTERS, _CLOUDS = (".tif", ".tiff", ".asc", ".vrt"), (".laz", ".las")
 _NO_FOOTPRINTS = (".safetensors", ".glb", ".jsonl", ".city.json")
 _READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
     ((".parquet",), _parquet),
-    ((".gpkg", ".shp", ".geojson", ".fgb"), _vector),
+    ((".gpkg", ".shp", ".geojson", ".fgb", ".gml", ".zip"), _vector),
     (_RASTERS, _raster),
     (_CLOUDS, _cloud),
     ((".safetensors",), _weights),

@@ -59,7 +59,7 @@ def read_vector(
         another = "--layer reads another" if of == "polygons" else "others are"
         text = "note: %s: layer %s, the first that may have %s, is read; %s: %s"
         log.info(text, path, chosen, of, another, ", ".join(others))
-    with _opening(path):
+    with opening(path):
         if _is_parquet(path):
             import geopandas as gpd
             import pyarrow.parquet as pq
@@ -127,7 +127,7 @@ def unpacked(path: str | Path, layer: str = "") -> str | Path:
         return path
     import zipfile
 
-    with _opening(path):
+    with opening(path):
         with zipfile.ZipFile(path) as packed:
             # of a file geodatabase, its folder
             names = {re.sub(r"(?i)(\.gdb)/.*", r"\1", name) for name in packed.namelist()}
@@ -143,13 +143,19 @@ def unpacked(path: str | Path, layer: str = "") -> str | Path:
 
 
 @contextmanager
-def _opening(path: str | Path) -> Iterator[None]:
-    """Any error of the block is an :class:`InputError`; of a format that is not known, with what to do."""
-    with reading(path, _KIND), warnings.catch_warnings():
+def opening(path: str | Path) -> Iterator[None]:
+    """Any error of the block is an :class:`InputError`; of a format or kind of layer that is not known, with what to
+    do. Of its warnings, which may be one per feature, the first is logged."""
+    with reading(path, _KIND), warnings.catch_warnings(record=True) as said:
         # of a database by another ending, which is read all the same
         warnings.filterwarnings("ignore", ".*non conformant file extension", RuntimeWarning)
         try:
             yield
+        except pyogrio.errors.GeometryError as error:  # 3D of any kind, TIN, polyhedral surfaces
+            raise InputError(
+                f"{path}: has layers of 3D geometries that cannot be read; save it as GeoPackage with geometries"
+                " MultiPolygon, with QGIS for instance"
+            ) from error
         except pyogrio.errors.DataSourceError as error:
             if "not recognized" not in str(error):
                 raise
@@ -159,6 +165,8 @@ def _opening(path: str | Path) -> Iterator[None]:
                 else "save it as GeoPackage, with QGIS for instance"
             )
             raise InputError(f"{path}: not {_KIND}; {remedy}") from error
+    if said:
+        log.warning("warning: %s: %.200s (%d in all)", path, said[0].message, len(said))
 
 
 def _options(path: str | Path) -> dict[str, str]:
@@ -195,7 +203,8 @@ def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | N
         if stated:
             raise InputError(f"{path}: has no layers; omit --layer")
         return None, []
-    with _opening(path):
+    with opening(path):
+        warnings.simplefilter("ignore")  # what is said now is said again when the file is read
         layers = pyogrio.list_layers(unpacked(path, stated)).tolist()
     names = [str(name) for name, _ in layers]
     if stated and stated not in names:
@@ -217,11 +226,9 @@ def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
     if _is_parquet(path):
         info = _geoparquet_info(path)
     else:
-        with _opening(path):
-            # several layers are reported when the file is read
+        with opening(path):
             warnings.simplefilter("ignore")
-            source = unpacked(path, layer)
-            info = dict(decoded(source, pyogrio.read_info, layer=chosen, **_options(path)))
+            info = dict(decoded(unpacked(path, layer), pyogrio.read_info, layer=chosen, **_options(path)))
     return info | {"layer": chosen, "other_layers": others}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import pandas as pd
 import pytest
 import shapely
 
+from p2wss.cli.inspection import describe
 from p2wss.data.crs import MetricCrs
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.footprints.vector_files import layer_info
@@ -188,3 +190,25 @@ def test_a_shapefile_without_its_table_is_told(
     assert "f.shp: has no .dbf, or a damaged one" in caplog.text
     with pytest.raises(InputError, match="has no column id; its columns are none"):
         read_footprints(path, id_field="id")
+
+
+@pytest.mark.parametrize("kind", ["GEOMETRY", "POLYHEDRALSURFACE"])
+def test_layers_of_3d_geometries_say_what_to_do(kind: str, tmp_path: Path) -> None:
+    """As databases and CityGML have them."""
+    houses.write_footprints(path := tmp_path / "f.gpkg")
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE gpkg_geometry_columns SET geometry_type_name = ?, z = 1", (kind,))
+    for read in (read_footprints, layer_info, describe):
+        with pytest.raises(InputError, match="save it as GeoPackage with geometries MultiPolygon"):
+            read(path)
+
+
+def test_what_gdal_says_of_each_feature_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Extended WKT, as PostGIS writes it: a line each, with the code that warned."""
+    frame = pd.DataFrame({"id": range(9), "geom": [f"SRID=2154;POINT({n} 0)" for n in range(9)]})
+    frame.to_csv(path := tmp_path / "f.csv", index=False)
+    with warnings.catch_warnings(record=True) as said, pytest.raises(InputError, match="has no polygons"):
+        read_footprints(path)
+    assert not said and [each.getMessage() for each in caplog.records] == [
+        f"warning: {path}: Ignoring invalid WKT: SRID=2154;POINT(0 0) (9 in all)"
+    ]
