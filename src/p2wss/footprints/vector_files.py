@@ -182,7 +182,9 @@ def no_geometry(path: str | Path) -> str:
     if _is_parquet(path):
         return "has no geometry; a Parquet file needs the metadata of GeoParquet, as geopandas writes them"
     if Path(path).suffix.lower() in _TABLES:
-        return f"has no geometry; a table needs WKT in a column {', '.join(_WKT_COLUMNS)}"
+        return (
+            f"has no geometry; a table needs WKT in a column {', '.join(_WKT_COLUMNS)}, without SRID, no WKB"
+        )
     return "has no geometry"
 
 

@@ -203,12 +203,14 @@ def test_layers_of_3d_geometries_say_what_to_do(kind: str, tmp_path: Path) -> No
             read(path)
 
 
-def test_what_gdal_says_of_each_feature_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Extended WKT, as PostGIS writes it: a line each, with the code that warned."""
-    frame = pd.DataFrame({"id": range(9), "geom": [f"SRID=2154;POINT({n} 0)" for n in range(9)]})
+@pytest.mark.parametrize("column", ["geom", "WKT"])
+def test_extended_wkt_is_told_once(column: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As PostGIS writes it: GDAL may warn of each feature, with a line of the code that warned."""
+    frame = pd.DataFrame({"id": range(9), column: [f"SRID=2154;POINT({n} 0)" for n in range(9)]})
     frame.to_csv(path := tmp_path / "f.csv", index=False)
-    with warnings.catch_warnings(record=True) as said, pytest.raises(InputError, match="has no polygons"):
+    words = r"has no geometry; a table needs WKT .*without SRID"
+    with warnings.catch_warnings(record=True) as said, pytest.raises(InputError, match=words):
         read_footprints(path)
     assert not said and [each.getMessage() for each in caplog.records] == [
         f"warning: {path}: Ignoring invalid WKT: SRID=2154;POINT(0 0) (9 in all)"
-    ]
+    ] * (column == "WKT")
