@@ -129,6 +129,8 @@ def check_inputs(
             raise InputError(f"{path}: no such file")
     headers, points = open_clouds(cloud)
     header = reading.common_header(headers) or headers[0]
+    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+        log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
     footprints_crs = None
     if footprints is None:
         if header.crs is None and crs is None:
@@ -140,8 +142,6 @@ def check_inputs(
         columns += [name for name in settings.keep_columns if name != "all"]
         footprints_crs = _check_footprints(footprints, columns, may_be_empty, settings.footprint_layer)
         names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
-    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
-        log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
     source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
     if footprints is not None and footprints_crs is None:
         log.info("note: %s does not state its CRS; assuming %s as that of the clouds", names[1], source.name)
