@@ -216,7 +216,8 @@ def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     if not crs.is_projected or is_plausible(crs, (x, y)):
         return ""
     own_m = horizontal(crs).axis_info[0].unit_conversion_factor
-    wrong = {"x and y were swapped": (y, x)}
+    # as in Germany: 32389000 for 389000 in zone 32
+    wrong = {"x and y were swapped": (y, x), "x did not begin with a zone": (np.fmod(x, 1e6), y)}
     for unit, length_m in {"mm": 0.001, "cm": 0.01, "ft": 0.3048, "m": 1.0}.items():
         wrong[f"x and y were in {unit}"] = x * length_m / own_m, y * length_m / own_m
     for text, place in wrong.items():

@@ -130,13 +130,13 @@ def _of_wkt(
     for record in records:
         if (record.user_id, record.record_id) != (user_id, _WKT):
             continue
-        wkt = record.record_data_bytes().rstrip(b"\0 ").decode("utf-8", "replace")
+        wkt = record.record_data_bytes().rstrip(b"\0 ").decode("utf-8-sig", "replace")
         if not wkt:
             continue
         try:
-            crs = pyproj.CRS.from_wkt(wkt)
+            crs = pyproj.CRS.from_user_input(wkt)  # a code, PROJJSON or a PROJ string are there, too
         except pyproj.exceptions.CRSError as error:
-            doubts.append(f"its WKT is not used: {error}")
+            doubts.append(f"its WKT is not used: {error!s:.150}")
             continue
         if placed(crs) is None and vertical_part(crs) is not crs:
             doubts.append(f"its CRS, {crs.name}, is not used: it is neither projected nor in degrees")

@@ -246,6 +246,7 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
         (25832, 5_772_000, 500_000, "x and y were swapped"),
         (31467, 5_530_000, 3_450_000, "x and y were swapped"),
         (31467, 3_450_000, 5_530_000, ""),
+        (25832, 32_389_000, 5_800_000, "x did not begin with a zone"),
         (2263, 300_000, 60_000, "x and y were in m;"),
         (32118, 984_250, 196_850, "x and y were in ft"),
         # around an origin of its own, and where no such fault explains it

@@ -12,6 +12,7 @@ import pyproj
 import pytest
 
 from p2wss.clouds.reading import read_headers
+from p2wss.data.crs import same_crs
 from p2wss.storage.las_crs import stated_crs, unit_m
 
 UTM, PLANE = "EPSG:26910", pyproj.CRS("EPSG:26910")
@@ -129,3 +130,13 @@ def test_a_projection_without_a_code_is_that_of_liblas_or_told() -> None:
     # keys with a code are newer
     header.vlrs[0].geo_keys[2].value_offset = 26910
     assert stated(header) == (PLANE.name, None, 1)
+
+
+@pytest.mark.parametrize(
+    "text", ["EPSG:26910", f"\ufeff{BEFORE}", PLANE.to_json(), "+proj=utm +zone=10 +datum=NAD83"]
+)
+def test_other_texts_in_the_place_of_wkt(text: str) -> None:
+    header = houses.header()
+    header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", text.encode() + b"\0"))
+    crs = stated_crs(header).crs
+    assert crs is not None and same_crs(crs, PLANE) and not stated_crs(header).doubts
