@@ -48,7 +48,10 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
     others = np.full(len(ids), None, object)
     height_m = features.columns.get("stated_height_m", np.full(len(ids), np.nan)).copy()
     bounds = shapely.bounds(shapes)
-    ascending = sorted(beside, key=lambda k: (area_m2[k], *bounds[k], ids[k]))
+    # of equal ones the first id is built, as a repeated id has a suffix
+    ascending = sorted(
+        sorted(beside, key=ids.__getitem__, reverse=True), key=lambda k: (area_m2[k], *bounds[k])
+    )
     for k in ascending:
         parts = _parts(k, beside[k], shapes, area_m2, status)
         if parts:

@@ -70,6 +70,11 @@ def test_duplicates_are_built_once(caplog: pytest.LogCaptureFixture) -> None:
     assert "footprints that are there twice, and are built once: 1 (" in caplog.text
 
 
+@pytest.mark.parametrize("names", [("a", "a_2"), ("a_2", "a")])
+def test_of_a_feature_that_is_there_twice_the_one_with_its_id_is_built(names: tuple[str, str]) -> None:
+    assert statuses(**dict.fromkeys(names, HOUSE)) == {"a": "ok", "a_2": "duplicate"}
+
+
 def test_wide_overlaps_are_divided() -> None:
     result = cleaned(a=HOUSE, b=shapely.box(9, 2, 22, 7), c=shapely.box(40, 0, 50, 9))
     assert list(result["status"]) == ["ok"] * 3
