@@ -52,8 +52,8 @@ class MetricCrs:
         """A window of the run in the units of the clouds."""
         if self.horizontal_m is None:
             low_x, low_y, high_x, high_y = self._transformer.transform_bounds(*bounds, direction="INVERSE")
-            return low_x, low_y, high_x, high_y
-        low_x, low_y, high_x, high_y = (value / self.horizontal_m for value in bounds)
+        else:
+            low_x, low_y, high_x, high_y = (value / self.horizontal_m for value in bounds)
         return low_x, low_y, high_x, high_y
 
     def bounds_of_run(self, bounds: Bounds) -> Bounds:
@@ -411,5 +411,8 @@ def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: s
 def _accuracy_m(transformer: pyproj.Transformer) -> float | None:
     """Accuracy of the transformation that was used last, in metres; None if unknown."""
     # 0 of a conversion between projections of one datum, which is exact
-    accuracy = transformer.get_last_used_operation().accuracy
+    try:
+        accuracy = transformer.get_last_used_operation().accuracy
+    except pyproj.exceptions.ProjError:  # PROJ found that the two are the same
+        accuracy = transformer.accuracy
     return None if accuracy is None or accuracy < 0 else float(accuracy)

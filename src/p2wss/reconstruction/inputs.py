@@ -129,8 +129,6 @@ def check_inputs(
             raise InputError(f"{path}: no such file")
     headers, points = open_clouds(cloud)
     header = reading.common_header(headers) or headers[0]
-    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
-        log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
     footprints_crs = None
     if footprints is None:
         if header.crs is None and crs is None:
@@ -248,8 +246,6 @@ def read_cloud_of(
     """
     headers, points = open_clouds(clouds)
     header = reading.common_header(headers) or headers[0]
-    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
-        log.warning("warning: %s: %s", header.path, doubt)
     if header.crs is None and crs is None and scene is None:
         return read_cloud(headers, points, None), None
     source, note = common_crs(header.crs, scene, crs, (str(header.path), name), header.bounds)
@@ -322,10 +318,14 @@ def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path 
 
 
 def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]:
-    """The headers of files, or that of points in memory and these."""
+    """The headers of files, or that of points in memory and these; a warning says what is wrong with the CRS of
+    files."""
     files = [cloud] if isinstance(cloud, str | Path) else cloud
     if isinstance(files, list | tuple) and files and all(isinstance(each, str | Path) for each in files):
-        return reading.read_headers(reading.list_clouds([Path(path) for path in files])), None
+        headers = reading.read_headers(reading.list_clouds([Path(path) for path in files]))
+        for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+            log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
+        return headers, None
     points = _in_memory(cloud)
     bounds = None
     if len(points):

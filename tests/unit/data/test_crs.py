@@ -225,6 +225,16 @@ def test_reprojection_is_told_with_its_accuracy(caplog: pytest.LogCaptureFixture
     assert reprojected(degrees, WGS84, WGS84, "f") is degrees
 
 
+def test_a_crs_that_is_the_same_but_for_a_shift_of_nothing() -> None:
+    """As GDAL wrote them: PROJ makes nothing of the transformation, and knows no last operation."""
+    shift = pyproj.CRS.from_wkt(
+        LAMBERT.to_wkt("WKT1_GDAL").replace('],AUTHORITY["EPSG","6171"]', "],TOWGS84[0,0,0,0,0,0,0]", 1)
+    )
+    assert shift.is_bound
+    place = np.array([shapely.Point(652_000, 6_862_000)])
+    assert reprojected(place, LAMBERT, shift, "f")[0].equals_exact(place[0], 1e-6)
+
+
 @pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
 def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Path) -> None:
     metric = MetricCrs(LAMBERT, LAMBERT)
