@@ -305,11 +305,7 @@ def _city(parts: list[Facts]) -> Facts:
     stored = parts[0].get("+p2wss") or metadata.get("p2wss")
     return {
         "version": parts[0].get("version"),
-        "crs": _crs(
-            metadata["referenceSystem"].split("/")[-3] + ":" + metadata["referenceSystem"].split("/")[-1]
-        )
-        if "referenceSystem" in metadata
-        else None,
+        "crs": _crs(metadata.get("referenceSystem")),
         "bounds": metadata.get("geographicalExtent"),
         "num_features": len(parts) - 1 or None,
         "objects by type": dict(Counter(item["type"] for item in city_objects)),

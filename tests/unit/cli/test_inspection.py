@@ -194,3 +194,13 @@ def test_a_reader_that_stops_ends_the_command_without_a_traceback() -> None:
         assert run.stdout is not None and run.stderr is not None
         run.stdout.close()
         assert run.stderr.read() == b"" and run.wait() == 141
+
+
+@pytest.mark.parametrize(
+    "stated", ["urn:ogc:def:crs:EPSG::7415", "https://www.opengis.net/def/crs/EPSG/0/7415", "EPSG:7415"]
+)
+def test_the_crs_of_cityjson_of_any_version(stated: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.city.json"
+    document = {"type": "CityJSON", "version": "1.0", "CityObjects": {}, "vertices": []}
+    path.write_text(json.dumps(document | {"metadata": {"referenceSystem": stated}}))
+    assert describe(path)["crs"] == "Amersfoort / RD New + NAP height (EPSG:7415)"
