@@ -131,7 +131,12 @@ def unpacked(path: str | Path, layer: str = "") -> str | Path:
         with zipfile.ZipFile(path) as packed:
             # of a file geodatabase, its folder
             names = {re.sub(r"(?i)(\.gdb)/.*", r"\1", name) for name in packed.namelist()}
-        files = sorted(f"/vsizip/{{{path}}}/{name}" for name in names if name.lower().endswith(_PACKED))
+        files = sorted(
+            f"/vsizip/{{{path}}}/{name}"
+            for name in names
+            # macOS packs what it knows of each file beside it
+            if name.lower().endswith(_PACKED) and not name.startswith("__MACOSX/")
+        )
         layers = {file: pyogrio.list_layers(file)[:, 0].tolist() for file in files}
     fitting = [file for file, names in layers.items() if not layer or layer in names]
     if len(files) > 1 and len(fitting) != 1:

@@ -154,9 +154,12 @@ def test_archives_are_read_as_portals_deliver_them(kind: str, folder: str, tmp_p
     frame = houses.footprints().assign(id=["Größe", "b"])
     frame.to_file(tmp_path / f"f.{kind}", **({"driver": "OpenFileGDB"} if kind == "gdb" else {}))
     (tmp_path / "f.cpg").unlink(missing_ok=True)
+    (tmp_path / "__MACOSX").mkdir()
+    (tmp_path / "__MACOSX" / f"._f.{kind}").write_bytes(b"\0\5")
     (tmp_path / "f.txt").write_text("a licence")
     files = [each for each in tmp_path.rglob("*") if each.is_file()]
-    names = {file: folder + str(file.relative_to(tmp_path)) for file in files}
+    names = {file: str(file.relative_to(tmp_path)) for file in files}
+    names = {file: name if name.startswith("__") else folder + name for file, name in names.items()}
     path = _packed(tmp_path / "f.ZIP", names)
     assert layer_info(path)["fields"].tolist() == ["id"]
     assert read_footprints(path, layer="f")["building_id"].tolist() == ["Größe", "b"]
