@@ -132,6 +132,8 @@ class Drawing(NamedTuple):
     reach_m: float = 2.0
     # metres: so far where nothing is seen, from which points are further than the distance above
     hidden_m: float = 0.0
+    # metres: an edge of the footprint goes on so far beyond a reflex corner
+    beyond_m: float = 10.0
     # metres: a border further from the line on which two planes meet is not on it
     off_m: float = 0.6
     # metres: a step so near to an edge of the footprint, or to another step, is on it

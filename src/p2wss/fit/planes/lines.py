@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from p2wss.fit.directions import edge_ends
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
@@ -92,7 +93,11 @@ def lines_of(
     steps += [Line(normal, *side) for normal, side in zip(normals, sides_m.tolist(), strict=True)]
     meets, steps = (_into_shadow(each, point_m, settings) for each in (meets, steps))
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
-    steps = snapped + [edge for edge, is_reflex in edges if is_reflex]
+    steps = snapped + [
+        edge.along(ends_m, settings.beyond_m)
+        for (edge, goes_on), ends_m in zip(edges, edge_ends(rings), strict=True)
+        if goes_on
+    ]
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
 
 

@@ -670,6 +670,17 @@ def test_lines_go_on_where_nothing_is_seen_and_nowhere_else() -> None:
     assert ends_m[2] >= 60
 
 
+def test_edges_go_on_beyond_a_reflex_corner_for_some_metres() -> None:
+    ring = np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 20.0], [40.0, 20.0], [40.0, 8.0], [0.0, 8.0]])
+    xy_m = np.stack(np.meshgrid(np.arange(0.5, 40, 1), np.arange(0.5, 8, 1)), axis=-1).reshape(-1, 2)
+    point_m, label = np.column_stack([xy_m, np.full(len(xy_m), 5.0)]), np.zeros(len(xy_m), int)
+    lines = lines_of([ring], np.array([[0.0, 0.0, 5.0]]), label, point_m, [0.0], PLANES.drawing)
+    along = [line for line in lines if abs(line.normal[1]) == 1 and line.offset_m * line.normal[1] == 8.0]
+    end_m = np.concatenate(ends_of(along))[:, 0]
+    assert end_m.max() == 40 + PLANES.drawing.beyond_m
+    assert end_m.min() == -PLANES.drawing.beyond_m
+
+
 def test_two_of_few_points_make_no_face_and_five_do() -> None:
     """Each stands for six square metres."""
     xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
