@@ -44,6 +44,19 @@ def test_an_edge_at_the_border_of_the_data_has_no_step() -> None:
         assert np.isfinite(step_m[0]) == is_shown
 
 
+@pytest.mark.parametrize(
+    ("offset_m", "border_m", "is_shown"), [(0.8, 1.0, False), (0.8, 1.6, True), (-0.7, 0.1, True)]
+)
+def test_the_data_go_on_beyond_a_step_wherever_its_edge_is(
+    offset_m: float, border_m: float, is_shown: bool
+) -> None:
+    """Of the data that end 0.2 m or 0.8 m beyond the roof."""
+    draw = np.random.default_rng(0)
+    x_m, y_m = draw.uniform(-2, border_m, 1200), draw.uniform(0, 10, 1200)
+    step_m, _ = edge_steps(WALL, x_m, y_m, np.where(x_m < offset_m, 1.0, -1.0))
+    assert step_m == pytest.approx([offset_m if is_shown else np.nan], abs=0.06, nan_ok=True)
+
+
 @pytest.mark.parametrize("num_points", [20, 60, 800])
 def test_the_deviation_of_a_step_holds_whatever_the_density(num_points: int) -> None:
     """Two deviations in 95 of 100 cases, for a wall of 4 m, and at few points not many times the error."""
@@ -110,3 +123,13 @@ def test_a_deviation_of_rectangles_holds() -> None:
         estimate = solve_shift(edge, step_m, np.full(len(edge), 0.1), np.zeros(2))
         held.append(np.linalg.norm(estimate.shift_m - shift_m) <= 2 * estimate.sd_m)
     assert np.mean(held) >= 0.95
+
+
+def test_wide_eaves_seen_from_one_side_are_no_clear_shift() -> None:
+    """Five fronts along a bend, whose eaves reach 0.7 m beyond; where their backs should be, there are no data."""
+    angle = np.linspace(-np.pi / 6, np.pi / 6, 6)
+    corner = 20 * np.column_stack([np.cos(angle), np.sin(angle)])
+    edge = np.column_stack([corner[:-1], corner[1:]])
+    assert solve_shift(edge, np.full(5, 0.7), np.full(5, 0.1), np.zeros(2)).sd_m > 0.5
+    both_sides = np.concatenate([edge, -edge])
+    assert solve_shift(both_sides, np.full(10, 0.7), np.full(10, 0.1), np.zeros(2)).sd_m < 0.2

@@ -21,7 +21,8 @@ from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
 MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
-# points within this distance beyond an edge, and so many of those beside it, show that the data do not end there
+# points beyond a step and within this distance of its edge, so many of those in the strip, show that the data do not
+# end at the step
 DATA_M, _MIN_BEYOND_SHARE = 4.0, 0.2
 # of an estimate, edges that are left out one by one
 _MOST_LEFT_OUT = 64
@@ -86,14 +87,16 @@ class Expected(NamedTuple):
 
 
 SEARCH, STEP, EXPECTED = Search(), StepRules(), Expected()
+# eaves may be far wider
+_ANY_OVERHANG = EXPECTED._replace(overhang_sd_m=1.0)
 
 
 @dataclass(frozen=True)
 class Estimate:
     """The shift of a block as its own edges show it.
 
-    shift_m: (2,). sd_m: its standard deviation in the less certain direction, if any one of the edges misleads;
-    infinite without any. overhang_m: how far the roof reaches beyond the edges.
+    shift_m: (2,). sd_m: its standard deviation in the less certain direction, if any one of the edges misleads, or the
+    expected overhang; infinite without any. overhang_m: how far the roof reaches beyond the edges.
     """
 
     shift_m: np.ndarray
@@ -167,15 +170,15 @@ def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
     return (np.cumsum(crossings.reshape(rows, columns + 1), axis=1)[:, :columns] & 1).astype(float)
 
 
-def strips(edge: np.ndarray, outside_m: float = WINDOW_M, inside_m: float = WINDOW_M) -> Polygons:
-    """A rectangle over each edge (e, 4), so far to either side; empty for an edge that is too short."""
+def strips(edge: np.ndarray) -> Polygons:
+    """A rectangle from ``WINDOW_M`` inside to ``DATA_M`` outside each edge (e, 4); empty for one that is too short."""
     start, end = edge[:, :2], edge[:, 2:]
     length = np.linalg.norm(end - start, axis=1)
     is_long = np.flatnonzero(length >= STEP.min_edge_m)
     along = (end - start)[is_long] / length[is_long, None]
     normal = np.column_stack([along[:, 1], -along[:, 0]])
     first, last = start[is_long] + STEP.end_m * along, end[is_long] - STEP.end_m * along
-    outside, inside = outside_m * normal, inside_m * normal
+    outside, inside = DATA_M * normal, WINDOW_M * normal
     corner = np.stack([first + outside, last + outside, last - inside, first - inside], axis=1)
     num_rings = np.zeros(len(edge) + 1, np.int64)
     num_rings[is_long + 1] = 1
@@ -199,10 +202,12 @@ def edge_steps(
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
     value = weight[point]
     order = np.lexsort([value, distance, of_edge])
+    order = order[distance[order] <= WINDOW_M]
     offset_m, sd_m = _steps(of_edge[order], distance[order], value[order], len(edge))
     # where the data end, nothing shows that the building does
-    _, _, beyond = crop_points(x_m, y_m, strips(edge, DATA_M, 0.0), 0.0)
-    return np.where(np.diff(beyond) > np.diff(offset) * _MIN_BEYOND_SHARE, offset_m, np.nan), sd_m
+    num_in_strip = np.bincount(of_edge[order], minlength=len(edge))
+    num_beyond = np.bincount(of_edge[distance > offset_m[of_edge]], minlength=len(edge))
+    return np.where(num_beyond > num_in_strip * _MIN_BEYOND_SHARE, offset_m, np.nan), sd_m
 
 
 def _steps(
@@ -258,7 +263,10 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, sta
     (value,), (covariance,) = _solved(*observed, np.array([-1]), EXPECTED)
     # those that the others can replace least
     least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[:_MOST_LEFT_OUT]
-    values, covariances = _solved(*observed, least, EXPECTED)
+    without_edge = _solved(*observed, least, EXPECTED)
+    # nor may the expected overhang decide where the block is seen from one side only
+    without_overhang = _solved(*observed, np.array([-1]), _ANY_OVERHANG)
+    values, covariances = (np.concatenate(each) for each in zip(without_edge, without_overhang, strict=True))
     change_m = (values - value)[:, :2]
     # steps that disagree by more than they should make all of them less certain
     off_m = step_m[rows] - design @ value
