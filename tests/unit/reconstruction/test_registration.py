@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -135,6 +137,19 @@ def test_without_points_on_buildings_nothing_moves(roof_class: int) -> None:
     assert all(row.shift_sd_m is None for row in rows)
 
 
+@pytest.mark.parametrize("missed_class", [1, 5, 12])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (1.2, -0.7)])
+def test_roofs_of_which_the_producer_missed_half_are_found(
+    shift: tuple[float, float], missed_class: int
+) -> None:
+    cloud = cloud_of(roofs())
+    is_missed = (cloud.classification == 6) & (np.random.default_rng(1).random(len(cloud)) < 0.5)
+    classes = np.where(is_missed, missed_class, cloud.classification).astype(np.uint8)
+    _, rows = registered(frame_of(BLOCK, shift), replace(cloud, classification=classes))
+    assert {row.source for row in rows} == {EDGES}
+    assert np.linalg.norm(shift_of(rows) + shift) < 0.15
+
+
 @pytest.mark.parametrize("depth_m", [0.5, 1.0, 1.5])
 @pytest.mark.parametrize("sides", ["w", "ws"])
 @pytest.mark.parametrize("ground", [1, 2])
@@ -249,8 +264,10 @@ def test_the_deviation_of_what_is_around_holds(num_around: int) -> None:
     assert 0.945 < np.mean(held) < 0.98
 
 
-def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
-    """Far blocks, their order and the points elsewhere change nothing, to the bit."""
+@pytest.mark.parametrize("share_missed", [0.0, 0.4])
+def test_a_shift_depends_on_the_neighbourhood_alone(share_missed: float) -> None:
+    """Far blocks, their order and the points elsewhere change nothing, to the bit. share_missed: of the roof points of
+    one row of blocks, those that the producer missed."""
     shapes, parts = [], []
     for k in range(8):
         for row in (0, 1):
@@ -271,7 +288,12 @@ def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
     columns = [
         np.concatenate(c) for c in zip(*((p.x_m, p.y_m, p.z_m, p.classification) for p in parts), strict=True)
     ]
-    cloud = Cloud(columns[0], columns[1], columns[2], columns[3], LAMBERT)
+    is_missed = (
+        (columns[3] == 6) & (columns[1] < ORIGIN[1] + 30) & (draw.random(len(columns[3])) < share_missed)
+    )
+    cloud = Cloud(
+        columns[0], columns[1], columns[2], np.where(is_missed, 1, columns[3]).astype(np.uint8), LAMBERT
+    )
     whole, whole_rows = registered(frame, cloud)
     assert np.median([np.linalg.norm(shift_of(whole_rows, k) + by_block[k]) for k in range(48)]) < 0.1
     is_chosen = np.zeros(48, bool)

@@ -21,6 +21,7 @@ from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
 from p2wss.reconstruction.registration.blocks import Blocks, connected, find_blocks
 from p2wss.reconstruction.registration.footprint_flags import contradictions
+from p2wss.reconstruction.registration.missed_roofs import like_roofs, with_missed_roofs
 from p2wss.reconstruction.registration.shifts import (
     DATA_M,
     EXPECTED,
@@ -253,7 +254,12 @@ class _Near:
         used[point] = True
         number = np.cumsum(used) - 1
         self.x_m, self.y_m = cloud.x_m[used], cloud.y_m[used]
-        self.weight = point_weights(cloud.classification[used])
+        weight = point_weights(cloud.classification[used])
+        is_roof, is_other = weight == 1.0, weight == SEARCH.other_weight
+        is_like = like_roofs(self.x_m, self.y_m, cloud.z_m[used], is_roof, is_other)
+        # of blocks whose roofs have good classes, and of others
+        self.weights = weight, np.where(is_like, 0.0, weight)
+        self.is_missed = with_missed_roofs(blocks, self.x_m, self.y_m, is_roof, is_like)
         point = number[point]
         first = np.searchsorted(blocks.of_outline, np.arange(len(blocks) + 1))
         self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]
@@ -281,7 +287,8 @@ class _Near:
             point = self.points[block]
             point = point[(inside[point] == block) | (inside[point] < 0)]
             xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
-            return search_shift(blocks.edge[first:last], xy_m, self.weight[point])
+            weight = self.weights[int(self.is_missed[block])]
+            return search_shift(blocks.edge[first:last], xy_m, weight[point])
 
         def stays(block: int, trace: str) -> list[np.ndarray]:
             note(
@@ -302,9 +309,12 @@ class _Near:
         numbers = range(len(blocks))
         shift_m = np.array(surviving(lambda some: map(search, some), numbers, stays)).reshape(-1, 2)
         best = [no_estimate()] * len(blocks)
+        is_missed = self.is_missed[blocks.of_edge]
         for _ in range(_NUM_ROUNDS):
             edge = moved(blocks.edge.reshape(-1, 2), np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
-            step_m, step_sd_m = edge_steps(edge, self.x_m, self.y_m, self.weight)
+            step_m, step_sd_m = np.full((2, len(edge)), np.nan)
+            for weight, some in zip(self.weights, (~is_missed, is_missed), strict=True):
+                step_m[some], step_sd_m[some] = edge_steps(edge[some], self.x_m, self.y_m, weight)
             found = surviving(lambda some: map(solve, some), numbers, unknown)
             found_m = np.array([each.shift_m for each in found]).reshape(-1, 2)
             shift_m = np.where(np.hypot(*found_m.T)[:, None] <= MAX_SHIFT_M, found_m, shift_m)

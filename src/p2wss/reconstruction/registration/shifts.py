@@ -192,7 +192,7 @@ def edge_steps(
     by the points in the strip over it. NaN where they do not show it.
 
     edge: counter-clockwise around the block, so that the outside is on the right. weight: (n,), 1 for a point on a
-    building and less than 0 for any other.
+    building, and less for any other: 0 says nothing.
     """
     point, _, offset = crop_points(x_m, y_m, strips(edge), 0.0)
     of_edge = np.repeat(np.arange(len(edge)), np.diff(offset))
@@ -200,12 +200,11 @@ def edge_steps(
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
     distance = (x_m[point] - edge[of_edge, 0]) * along[of_edge, 1]
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
-    value = weight[point]
-    order = np.lexsort([value, distance, of_edge])
-    order = order[distance[order] <= WINDOW_M]
-    offset_m, sd_m = _steps(of_edge[order], distance[order], value[order], len(edge))
+    near = np.flatnonzero(distance <= WINDOW_M)
+    strip = near[np.lexsort([weight[point[near]], distance[near], of_edge[near]])]
+    offset_m, sd_m = _steps(of_edge[strip], distance[strip], weight[point[strip]], len(edge))
     # where the data end, nothing shows that the building does
-    num_in_strip = np.bincount(of_edge[order], minlength=len(edge))
+    num_in_strip = np.bincount(of_edge[strip], minlength=len(edge))
     num_beyond = np.bincount(of_edge[distance > offset_m[of_edge]], minlength=len(edge))
     return np.where(num_beyond > num_in_strip * _MIN_BEYOND_SHARE, offset_m, np.nan), sd_m
 
