@@ -320,6 +320,19 @@ def test_the_ground_is_never_above_the_own_points() -> None:
     assert found(low) == (20.0, "lowest-points")
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.2, (40.0, "around")), (0.8, (37.0, "storey"))])
+def test_some_points_of_class_building_on_the_ground_are_no_roof(
+    share: float, found: tuple[float, str]
+) -> None:
+    polygons = polygon_arrays.to_polygons(np.array([shapely.Polygon(RING)]))
+    around = np.column_stack([xy := grid((-0.9, 0), (0, 10)), np.full(len(xy), 40.0)])
+    cloud = cloud_of(45.0, around)
+    is_low = (cloud.classification == BUILDING_CLASS) & (cloud.y_m < 10 * share)
+    cloud = replace(cloud, z_m=np.where(is_low, 40.0, cloud.z_m))
+    ground = ground_of(cloud, crop_cloud(cloud, polygons), polygons, None)
+    assert (float(ground.z_m[0]), str(ground.source[0])) == found
+
+
 def test_points_without_class_are_a_roof_where_those_beside_are_lower() -> None:
     """Class ground is on the slope above, a little higher than the roof; beside it, points are 8 m lower."""
     polygons = polygon_arrays.to_polygons(np.array([shapely.Polygon(RING)]))

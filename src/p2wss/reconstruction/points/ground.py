@@ -27,7 +27,8 @@ class Rules:
     lowest_roof_m, storey_m: the lowest roof is at least this high, and a storey if nothing else is known.
     low_quantile: of the heights of a building's points; lower ones may be of a shaft, or of a neighbour's roof.
     roof_share: of a building's points that show its roof if they have class building, or else all of them do. step_m:
-    they are no ground where the points beside are so far below. min_own_points: that show a roof.
+    they are no ground where the points beside are so far below. ground_step_m: points of class building that are so
+    near to the height of the ground around are of it, if they are fewer than half. min_own_points: that show a roof.
     terrain_sd_m, storey_sd_m: expected standard deviations without points of the ground.
     """
 
@@ -36,6 +37,7 @@ class Rules:
     low_quantile: float = 0.05
     roof_share: float = 0.2
     step_m: float = 2.0
+    ground_step_m: float = 0.5
     min_own_points: int = 5
     terrain_sd_m: float = 0.5
     storey_sd_m: float = 3.0
@@ -74,6 +76,10 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
         roof = own[cloud.classification[own] == BUILDING_CLASS]
         if len(roof) < RULES.roof_share * len(own):
             roof = own
+        # a producer's points of buildings may be of the ground beside these
+        higher = roof[np.abs(cloud.z_m[roof] - z_m[p]) > RULES.ground_step_m]
+        if roof is not own and 2 * len(higher) >= len(roof):
+            roof = higher
         if len(roof) >= RULES.min_own_points:
             low_z, low_beside_z = (
                 quantile(cloud.z_m[each], RULES.low_quantile) if len(each) else np.inf
