@@ -109,10 +109,13 @@ def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) 
     way_m = np.linspace(0.0, further_m, int(further_m / settings.reach_m) + 2)
     ahead = np.array([line.direction for line in lines])[:, None] * [[[-1.0], [1.0]]]
     place_m = ends_of(lines)[:, :, None] + ahead[:, :, None] * way_m[:, None]
-    away_m = nearest(point_m[:, :2], place_m.reshape(-1, 2))[0].reshape(place_m.shape[:3])
-    is_seen = np.concatenate([away_m < settings.reach_m, np.ones_like(away_m[:, :, :1], bool)], axis=2)
+    xy_m, reach_m = point_m[:, :2], settings.reach_m
+    # far from all points, finding the nearest takes long
+    is_seen = ((place_m > xy_m.min(axis=0) - reach_m) & (place_m < xy_m.max(axis=0) + reach_m)).all(axis=3)
+    is_seen[is_seen] = nearest(xy_m, place_m[is_seen])[0][:, 0] < reach_m
     # up to the last place before one that is seen
-    low_m, high_m = way_m[np.maximum(is_seen.argmax(axis=2) - 1, 0)].T.tolist()
+    num = np.where(is_seen.any(axis=2), is_seen.argmax(axis=2), len(way_m))
+    low_m, high_m = way_m[np.maximum(num - 1, 0)].T.tolist()
     return [
         line._replace(low_m=line.low_m - low, high_m=line.high_m + high)
         for line, low, high in zip(lines, low_m, high_m, strict=True)
