@@ -34,16 +34,19 @@ def any_intersect(
     order = np.flatnonzero(is_there)
     # in the order of where they begin, so that few are compared
     order = order[np.argsort(low[order, 0])]
-    begin, widest = low[order, 0], (high[order, 0] - low[order, 0]).max() if len(order) else 0.0
+    from_m, to_m = low[order], high[order]
+    begin, widest = from_m[:, 0].copy(), (to_m[:, 0] - from_m[:, 0]).max() if len(order) else 0.0
     is_done = np.zeros(num, np.bool_)
     for s in asked:
         is_done[s] = True
-        for t in order[np.searchsorted(begin, low[s, 0] - widest) : np.searchsorted(begin, high[s, 0])]:
-            if is_done[t] or low[s, 0] > high[t, 0] or low[s, 1] > high[t, 1] or low[t, 1] > high[s, 1]:
+        first, last = np.searchsorted(begin, low[s, 0] - widest), np.searchsorted(begin, high[s, 0])
+        for k in range(first, last):
+            if low[s, 0] > to_m[k, 0] or low[s, 1] > to_m[k, 1] or from_m[k, 1] > high[s, 1]:
                 continue
-            if low[s, 2] > high[t, 2] or low[t, 2] > high[s, 2]:
+            if low[s, 2] > to_m[k, 2] or from_m[k, 2] > high[s, 2]:
                 continue
-            if _triangles_intersect(vertex_m, triangle, normal, s, t):
+            t = order[k]
+            if not is_done[t] and _triangles_intersect(vertex_m, triangle, normal, s, t):
                 return True
     return False
 
