@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from tiny_network import certain_probabilities
 
-
-@dataclass
-class Answer:
-    eave_height_m: np.ndarray
-    angle_deg: list[np.ndarray]
-
-    @property
-    def class_probability(self) -> list[np.ndarray]:
-        return [certain_probabilities(angles) for angles in self.angle_deg]
+from p2wss.nets.prediction import Prediction
 
 
 class Oracle:
@@ -26,11 +16,10 @@ class Oracle:
         self.slope_deg = slope_deg
         self.max_num_vertices = max_num_vertices
         self.rings: list[Sequence[np.ndarray]] = []
-        self.num_views = 4
         self.on_building = False
 
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Answer:
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         self.rings += rings
         height = np.array([np.median(p[:, 2]) for p in points_m])
         angle = [np.full(sum(map(len, r)), self.slope_deg) for r in rings]
-        return Answer(np.where(height > 50, np.nan, height), angle)
+        return Prediction(np.where(height > 50, np.nan, height), angle)

@@ -5,23 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from tiny_network import certain_probabilities
 
 from p2wss.eval import cases
-
-
-class Values:
-    def __init__(self, height: np.ndarray, angle: list[np.ndarray], is_sure: bool) -> None:
-        self.eave_height_m, self.angle_deg = height, angle
-        self.class_probability = [
-            certain_probabilities(angle_deg) if is_sure else np.full((len(angle_deg), 3), 1 / 3)
-            for angle_deg in angle
-        ]
+from p2wss.nets.prediction import Prediction
 
 
 class TruthNetwork:
     """Looks up the case with the same points; ``wrong_m`` and ``wrong_deg`` are added to its values. With ``slope_deg``
-    every edge has that angle and all classes are equally probable."""
+    every edge has that angle."""
 
     max_num_vertices, on_building = 8, False
 
@@ -42,7 +33,7 @@ class TruthNetwork:
 
         return next(case for case in self.true_cases if same(case))
 
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Values:
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         same_cases = [self._case(points) for points in points_m]
         height = np.array([case.eave_height_m or 5.0 for case in same_cases]) + self.wrong_m
         angle = [
@@ -51,7 +42,7 @@ class TruthNetwork:
         ]
         if self.slope_deg is not None:
             angle = [np.full(len(angle_deg), self.slope_deg) for angle_deg in angle]
-        return Values(height, angle, self.slope_deg is None)
+        return Prediction(height, angle)
 
     def reconstruct_all_masked(
         self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True

@@ -49,12 +49,6 @@ def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
     return torch.where(total > 0, masked / total.clamp_min(1e-30), allowed / allowed.sum())
 
 
-def class_probability(distribution: Tensor) -> Tensor:
-    """(..., 3): of 0 degrees, of 90 degrees and of a slope, from probabilities of angles (..., 100)."""
-    flat, vertical = distribution[..., 0], distribution[..., 90]
-    return torch.stack([flat, vertical, (distribution.sum(-1) - flat - vertical).clamp_min(0)], -1)
-
-
 def decode(distribution: Tensor, mode: Mode) -> Tensor:
     """int64 (...): the most probable value ("argmax"), or the smallest with half of the mass at or below it."""
     if mode == "argmax":

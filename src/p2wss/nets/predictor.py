@@ -65,8 +65,8 @@ class Point2WssPredictor:
         """Heights and angles from clouds (n, 3), z above the ground, and the rings of their footprints.
 
         x and y of cloud and rings share any local frame; the first ring is the exterior, counter-clockwise,
-        without a repeated first vertex. Edges of courtyards get the median slope of the exterior's edges, and equal
-        probabilities of the classes (paper, section 4.3: a sequence has one ring).
+        without a repeated first vertex. Edges of courtyards get the median slope of the exterior's edges (paper,
+        section 4.3: a sequence has one ring).
 
         Raises ``ValueError`` for an empty cloud or too many vertices.
         """
@@ -74,16 +74,14 @@ class Point2WssPredictor:
         self._check(points_m, exterior)
         height = np.full(len(points_m), np.nan)
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
-        class_probability = [np.full((len(edges), 3), 1 / 3) for edges in angle]
-        for index, (heights, angles, classes) in self._for_each(points_m, exterior, self._decode):
+        for index, (heights, angles) in self._for_each(points_m, exterior, self._decode):
             for row, i in enumerate(index):
                 num_edges = len(exterior[i])
                 height[i] = heights[row]
                 angle[i][:num_edges] = angles[row, :num_edges]
-                class_probability[i][:num_edges] = classes[row, :num_edges]
                 if len(rings[i]) > 1:
                     angle[i][num_edges:] = _courtyard_angle(angle[i][:num_edges])
-        return Prediction(height, angle, class_probability)
+        return Prediction(height, angle)
 
     def reconstruct_all_masked(
         self,
@@ -181,8 +179,7 @@ class Point2WssPredictor:
 
     @torch.inference_mode()
     def _decode(self, batch: Batch) -> tuple[np.ndarray, ...]:
-        """Of a centred batch whose footprints are known: heights (b,) m, angles (b, n) degrees and the probabilities of
-        their classes (b, n, 3).
+        """Heights (b,) m and angles (b, n) degrees of a centred batch whose footprints are known.
 
         The probabilities of the views are averaged before values are decoded.
         """
@@ -208,7 +205,6 @@ class Point2WssPredictor:
         return (
             (height * unit).cpu().numpy(),
             angle.double().cpu().numpy(),
-            decoding.class_probability(angles).double().cpu().numpy(),
         )
 
     @torch.inference_mode()
@@ -228,7 +224,7 @@ class Point2WssPredictor:
             tokens, _ = tokenizer.mask_targets(Quantised(zero[:, 0], xy, zero, batch.num_vertices))
         xy_m = (xy * 10.0**-tokenizer.coord_decimals).gather(1, back[..., None].expand(-1, -1, 2))
         if self.settings.num_refinements:
-            height_m, angle_deg, _ = self._decode(replace(batch, xy=xy_m.float()))
+            height_m, angle_deg = self._decode(replace(batch, xy=xy_m.float()))
             return height_m, xy_m.cpu().numpy(), angle_deg
         heights, angle = self._distributions(
             logits[:, tokenizer.target_positions(batch.xy.shape[1]).to(self.device)]
