@@ -163,7 +163,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--compile", action="store_true", help="faster steps on a GPU")
     parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto")
     options = parser.parse_args(words)
-    start([])
+    start()
     set_num_threads(options.threads)
     code = fingerprint("training.loop", "nets", "towns")
     optimiser = Optimiser(

@@ -114,7 +114,7 @@ def main(arguments: list[str] | None = None) -> int:
     # pydantic would look for plugins in all packages that are installed
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     words = sys.argv[1:] if arguments is None else arguments
-    log_lines.start(words)
+    log_lines.start()
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # and so does GDAL
@@ -162,10 +162,7 @@ def with_files(words: Iterable[str]) -> list[str]:
 
 def _failed(text: str, status: int = 2) -> int:
     """Say on stderr why the command ends, and return its status."""
-    if log_lines.is_json():
-        log_lines.log.error(text)
-    else:
-        print(f"p2wss: {text}", file=sys.stderr)
+    print(f"p2wss: {text}", file=sys.stderr)
     return status
 
 

@@ -76,14 +76,6 @@ _log_options = (
         help="show each building, step and file, with times",
         **_level,
     ),
-    option(
-        "--log-format",
-        type=click.Choice(["text", "json"]),
-        default="text",
-        expose_value=False,  # p2wss.storage.log_lines has read it before any error
-        more=True,
-        help="json: each line on stderr is an object with time, level, message, and building_id where known",
-    ),
 )
 
 

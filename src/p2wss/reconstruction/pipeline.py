@@ -388,13 +388,10 @@ def input_columns(features: Features) -> list[dict[str, Any]]:
 
 def _log_building(result: Result, seconds: float) -> None:
     building_id, reason = result.reconstruction.building_id, f" ({result.reason})" if result.reason else ""
-    fields = {"building_id": building_id, "status": result.status, "seconds": round(seconds, 3)}
     points = f"{result.num_points} points, {result.residual_m:.3f} m from the mesh"
     if result.registration is not None and any(result.registration.shift_m):
-        fields["shift_x_m"], fields["shift_y_m"] = x_m, y_m = result.registration.shift_m
-        points += f", footprint moved by {x_m:+.2f}, {y_m:+.2f} m"
-    text = "%s: %s%s, %s, %.2f s"
-    log.debug(text, building_id, result.status, reason, points, seconds, extra={"fields": fields})
+        points += ", footprint moved by {:+.2f}, {:+.2f} m".format(*result.registration.shift_m)
+    log.debug("%s: %s%s, %s, %.2f s", building_id, result.status, reason, points, seconds)
 
 
 def _dates(cloud: Cloud, point: np.ndarray) -> tuple[date, date] | None:

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
-from p2wss.storage.log_lines import is_json, log
+from p2wss.storage.log_lines import log
 
 INTERVAL_S = 2.0
 # lines of a log become rarer: the next is this share of the time so far later, or more
@@ -44,7 +44,7 @@ class Progress:
         self._bar: Any = None
 
     def __enter__(self) -> Progress:
-        if sys.stderr.isatty() and log.getEffectiveLevel() == logging.INFO and not is_json():
+        if sys.stderr.isatty() and log.getEffectiveLevel() == logging.INFO:
             from tqdm import tqdm
             from tqdm.contrib.logging import logging_redirect_tqdm
 

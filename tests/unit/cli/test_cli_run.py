@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import re
-import subprocess
-import sys
-from datetime import datetime
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
@@ -128,27 +125,6 @@ def test_verbose_names_buildings_and_files_with_times(
     assert f"{tmp_path / 'lidar.city.json'}: written, " in caplog.text
     assert run(demo, tmp_path, "--ids", two) == 0
     assert f"{two}: ok" not in caplog.text
-
-
-def test_json_is_all_that_stderr_gets(demo: Path, tmp_path: Path) -> None:
-    footprints = demo / "footprints.gpkg"
-    one = gpd.read_file(footprints)["cleabs"][0]
-    command = [sys.executable, "-m", "p2wss.cli", "reconstruct", demo / "lidar.laz", footprints, tmp_path]
-    for options, status, last in (
-        (["--ids", one, "-v", "--outputs", "cityjson"], 0, ("info", "1 buildings: 1 ok")),
-        (["--ids", "x"], 2, ("error", f"{footprints.name}: has no building x")),
-        (["--outputs", "x"], 2, ("error", "reconstruct.outputs")),
-        (["--no-such"], 2, ("error", "No such option '--no-such'")),
-    ):
-        done = subprocess.run([*command, "--log-format", "json", *options], capture_output=True, check=False)
-        rows = [json.loads(line) for line in done.stderr.splitlines()]
-        assert done.returncode == status and (rows[-1]["level"], True) == (
-            last[0],
-            last[1] in rows[-1]["message"],
-        )
-        assert all(datetime.fromisoformat(row["time"]).tzinfo for row in rows)
-        of_building = [row for row in rows if "building_id" in row]
-        assert [(row["building_id"], row["status"]) for row in of_building] == [(one, "ok")] * (status == 0)
 
 
 def test_the_doctor_says_what_is_missing_for_what(

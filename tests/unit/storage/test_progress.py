@@ -7,7 +7,6 @@ import logging
 
 import pytest
 
-from p2wss.storage import log_lines
 from p2wss.storage.progress import Progress
 
 
@@ -70,18 +69,13 @@ def test_a_terminal_gets_a_bar_and_log_lines_stand_above_it(
     assert "a message\n" in text and logging.getLogger().handlers == handlers
 
 
-@pytest.mark.parametrize(
-    ("level", "lines"), [(logging.INFO, log_lines.JsonLines()), (logging.DEBUG, log_lines.TextLines())]
-)
-def test_a_terminal_gets_no_bar_among_json_and_details(
-    level: int, lines: logging.Formatter, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_a_terminal_gets_no_bar_among_details(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level(level, "p2wss")
+    caplog.set_level(logging.DEBUG, "p2wss")
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
-    handler = logging.StreamHandler(terminal)
-    handler.setFormatter(lines)
-    monkeypatch.setattr(logging.getLogger(), "handlers", [handler])
+    monkeypatch.setattr(logging.getLogger(), "handlers", [logging.StreamHandler(terminal)])
     with Progress("training", 3, "steps") as progress:
         progress.update(1, "loss 0.5")
     assert terminal.getvalue() == ""

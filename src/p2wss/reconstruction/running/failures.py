@@ -56,7 +56,7 @@ def note(name: str, trace: str, instead: str) -> None:
         return
     failures.traces[name] = trace
     text = "warning: %s: internal error, %s: %s; see the file .errors.log of the results"
-    log.warning(text, name, instead, trace.rstrip().rsplit("\n", 1)[-1], extra={"fields": {"name": name}})
+    log.warning(text, name, instead, trace.rstrip().rsplit("\n", 1)[-1])
     log.debug("%s", trace)
 
 
