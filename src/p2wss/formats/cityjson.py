@@ -220,7 +220,7 @@ def _plane(grid: np.ndarray, surfaces: Sequence[Surface], metadata: Metadata) ->
     slope_deg = math.degrees(math.atan2(math.hypot(x, y), z))
     attributes = {metadata.slope: round(slope_deg, 2)}
     if slope_deg >= _LEVEL_DEG:
-        attributes[metadata.azimuth] = round(math.degrees(math.atan2(x, y)) % 360, 2)
+        attributes[metadata.azimuth] = round(math.degrees(math.atan2(x, y)) % 360, 2) % 360
     return attributes | {"area_m2": round(math.hypot(x, y, z), 3)}
 
 

@@ -142,6 +142,13 @@ def test_header_and_features_follow_the_specification() -> None:
     assert empty["CityObjects"]["none"]["attributes"]["reason"] == "no-points"
 
 
+def test_a_roof_that_faces_nearly_north_has_no_azimuth_of_360_degrees() -> None:
+    # 10 m by 5 m, down to the north, and by a third of a millimetre to the west
+    corners = np.array([[0, 0, 500_000], [1_000_000, 0, 500_035], [1_000_000, 500_000, 35], [0, 500_000, 0]])
+    roof = Surface(FaceKind.ROOF, 0, [np.arange(4)])
+    assert cityjson._plane(corners, [roof], cityjson.Metadata())["azimuth_deg"] == 0.0
+
+
 def test_each_roof_plane_is_a_semantic_surface() -> None:
     ring = [np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)]
     meshes = skeleton.build(Polygons.from_rings([ring]), np.array([45, 90, 30, 90.0]), np.array([5.0]))
