@@ -230,6 +230,14 @@ def test_unstated_feet_are_named_where_footprints_state_heights(tmp_path: Path) 
         assert (abs(result["flat"][1] - 6) < 0.1) == is_right
 
 
+def test_heights_of_footprints_in_feet_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    cloud = houses.write_cloud(tmp_path / "c.laz", UTM)
+    built(cloud, houses.footprints(UTM, height=[8.36, 6.0]))
+    assert "as if in feet" not in caplog.text
+    built(cloud, houses.footprints(UTM, height=[8.36 / FOOT, 6.0 / FOOT]))
+    assert "times those of points, as if in feet; where a building has no points" in caplog.text
+
+
 def test_unstated_feet_are_doubted_where_houses_are_slender(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -39,6 +39,8 @@ _FACTORS = {
 _LEFT_SHARE, _LEFT_M = 0.02, 2.0
 # heights of points by stated ones, if the former are in feet: a stated height is of the eave or of the ridge
 _FEET_RATIO = (2.4, 4.4)
+# of most houses, this ratio is the same but for so much
+_SAME_RATIO = 0.3
 # medians of houses that are higher, and so many times as high as they are wide, and those that are lower, tell that
 # heights are in another unit: where the user does not state it, and where they do
 _HIGH_M, _SLENDER, _LOW_M = (12.0, 40.0), (1.8, 4.0), (2.3, 1.0)
@@ -112,6 +114,12 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
             if not terrain_unit:
                 raise
             log.warning("warning: %s", str(error).split(";")[0])
+    if 1 / _FEET_RATIO[1] < (times := times_stated(sample)) < 1 / _FEET_RATIO[0]:
+        log.warning(
+            "warning: footprints state heights that are %.1f times those of points, as if in feet; where a building has"
+            " no points, they count as metres",
+            1 / times,
+        )
     vertical_m, is_stated = inputs.metric.vertical_m, vertical_part(inputs.metric.source) is not None
     text = "" if height_unit else feet_instead_of_metres(sample, vertical_m)
     if text and not is_stated:
@@ -148,20 +156,24 @@ def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
     """What tells by stated heights that those of points, taken for metres, are in feet, or the other way round; else
     ""."""
     is_feet = abs(vertical_m - 0.3048) < 1e-3
-    ratio = sample.height_m / sample.stated_height_m
-    ratio = ratio[np.isfinite(ratio) & (sample.stated_height_m > 2.0) & (sample.height_m > 1.0)]
+    times = times_stated(sample)
     low, high = (1 / _FEET_RATIO[1], 1 / _FEET_RATIO[0]) if is_feet else _FEET_RATIO
     unit, other = ("m", "ft") if is_feet else ("ft", "m")
-    if (
-        len(ratio) > 1
-        and low < np.median(ratio) < high
-        and (abs(ratio - np.median(ratio)) < 1.0).mean() > 0.7
-    ):
-        return (
-            f"roofs are {np.median(ratio):.2f} times as high as their footprints state, as if heights were in {unit};"
-            f" state --height-unit {unit}, or --height-unit {other} if they are right"
-        )
-    return ""
+    if not low < times < high:
+        return ""
+    return (
+        f"roofs are {times:.2f} times as high as their footprints state, as if heights were in {unit};"
+        f" state --height-unit {unit}, or --height-unit {other} if they are right"
+    )
+
+
+def times_stated(sample: Sample) -> float:
+    """How many times as high as their footprints state most of several roofs are; NaN if that is not known."""
+    ratio = sample.height_m / sample.stated_height_m
+    ratio = ratio[np.isfinite(ratio) & (sample.stated_height_m > 2.0) & (sample.height_m > 1.0)]
+    if len(ratio) < 2 or (abs(ratio / np.median(ratio) - 1) < _SAME_RATIO).mean() <= 0.7:
+        return float("nan")
+    return float(np.median(ratio))
 
 
 def odd_houses(sample: Sample, vertical_m: float, stated: str) -> str:
