@@ -128,12 +128,13 @@ def _without_edge(
     changed = _without_side(patch, end, gone, short_m, walls_stay)
     if changed is None:
         return None
-    changed = _flipped(changed) if _is_thin(changed).sum() > _is_thin(patch).sum() else changed
+    num_thin = _is_thin(patch).sum()
+    if _is_thin(changed).sum() > num_thin:
+        changed = _flipped(changed)
     vertex_m = mesh.vertex_m.copy()
     vertex_m[number] = changed.vertex_m
     parts = (mesh.triangle, number[changed.triangle]), (mesh.kind, changed.kind), (mesh.label, changed.label)
     result = Mesh(vertex_m, *(np.concatenate([old[~is_near], new]).astype(old.dtype) for old, new in parts))
-    num_thin = _is_thin(patch).sum()
     if _is_thin(changed).sum() > num_thin:
         # the other end of a step that went, or a vertex that a wall now passes through
         result = changed = _without_short_edges(result, _NO_HEIGHT_M, walls_stay, set())
