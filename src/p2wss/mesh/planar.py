@@ -216,11 +216,9 @@ def _is_as_valid(mesh: Mesh, before: Mesh, changed: Mesh, patch: Mesh) -> bool:
     same numbers of vertices; what is beside them stays."""
     if changed is patch:
         return True
+    if not _is_as_closed(changed, patch) or changed.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
+        return False
     is_moved = (changed.vertex_m != patch.vertex_m).any(axis=1)
-    if not _is_as_closed(changed, patch) or is_moved[_sides(patch)[0] // len(is_moved)].any():
-        return False
-    if changed.edge_m.min() < min(before.edge_m.min(), _MERGED_M):
-        return False
     base = len(is_moved) ** np.arange(3)
     own, old = (np.sort(each.triangle) @ base for each in (changed, patch))
     old.sort()
@@ -232,19 +230,19 @@ def _is_as_valid(mesh: Mesh, before: Mesh, changed: Mesh, patch: Mesh) -> bool:
 
 
 def _is_as_closed(mesh: Mesh, before: Mesh) -> bool:
-    """Whether the same sides as before have no triangle beside them, and not more of them have several."""
-    (single, num_same), (was_single, was_same) = _sides(mesh), _sides(before)
-    return np.array_equal(single, was_single) and num_same <= was_same
+    """Whether the same sides as before, in the same places, have no triangle beside them, and not more of them have
+    several."""
+    (side, num_same), (was_side, was_same) = _open_sides(mesh), _open_sides(before)
+    at = side // len(mesh.vertex_m)
+    is_same = np.array_equal(side, was_side) and num_same <= was_same
+    return is_same and np.array_equal(mesh.vertex_m[at], before.vertex_m[at])
 
 
-def _sides(mesh: Mesh) -> tuple[np.ndarray, int]:
+def _open_sides(mesh: Mesh) -> tuple[np.ndarray, int]:
     """(those sides of triangles that have none beside them, int (k,), start times the number of vertices plus end,
     ascending; how often two triangles have the same side)."""
-    size, start = len(mesh.vertex_m), mesh.triangle.astype(np.int64)
-    end = start.take(NEXT, 1)
-    forward, back = np.sort((start * size + end).ravel()), np.sort((end * size + start).ravel())
-    num_same = int(np.count_nonzero(forward[1:] == forward[:-1]))
-    return forward[back[np.minimum(np.searchsorted(back, forward), len(back) - 1)] != forward], num_same
+    side = (mesh.triangle.astype(np.int64) * len(mesh.vertex_m) + mesh.triangle.take(NEXT, 1)).ravel()
+    return np.sort(side[mesh.twin.ravel() < 0]), len(side) - len(distinct(side))
 
 
 def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:

@@ -179,6 +179,24 @@ def test_an_edge_is_tried_with_the_planes_around_it_alone(monkeypatch: pytest.Mo
     np.testing.assert_array_equal(first[np.lexsort(first.T)], alone.vertex_m[np.lexsort(alone.vertex_m.T)])
 
 
+def test_a_part_of_a_mesh_is_as_closed_as_before_if_it_fits_into_the_rest() -> None:
+    part = hip().part(slice(1, None))
+    is_within = ~np.isin(np.arange(len(part.vertex_m)), hip().triangle[0])
+    step_m = np.full((len(part.vertex_m), 3), 1e-9)
+    assert planar._is_as_closed(part.moved(part.vertex_m + step_m * is_within[:, None]), part)
+    # its border moves, another triangle is not there, or is there twice
+    assert not planar._is_as_closed(part.moved(part.vertex_m + step_m * ~is_within[:, None]), part)
+    few, twice = (
+        replace(part, **changed) for changed in (rows(part, slice(1, None)), rows(part, [*range(15), 14]))
+    )
+    assert not planar._is_as_closed(few, part)
+    assert not planar._is_as_closed(twice, part)
+
+
+def rows(mesh: Mesh, of: Any) -> dict[str, np.ndarray]:
+    return {name: getattr(mesh, name)[of] for name in ("triangle", "kind", "label")}
+
+
 def test_a_corner_of_the_footprint_beside_the_line_of_its_wall_keeps_no_short_edge() -> None:
     """Three millimetres, as outlines are rounded, between two pieces of one wall. The low step there goes."""
     corner = [6, 3e-3]

@@ -138,8 +138,7 @@ def fit_planes(
         found.label[top], plane = len(plane), np.vstack([plane, behind])
     # what is hidden is at a corner, as shadows come from beyond the footprint
     hidden_m = float(nearest(point_m[:, :2], corner_m)[0].max())
-    drawing = settings.drawing.for_density(density)
-    drawing = drawing._replace(hidden_m=hidden_m)
+    drawing = settings.drawing.for_density(density)._replace(hidden_m=hidden_m)
     # where points are many, they show these lines more exactly than a map
     line_m = np.zeros((0, 2, 2)) if line_m is None else line_m
     of_map = None if known is None else between_lines(rings, line_m, drawing, settings.limits)
