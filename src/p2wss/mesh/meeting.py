@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.compiled import both, entry
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind, distinct, numbered, writable
 
@@ -89,7 +89,7 @@ def with_meeting_planes(
         is_place[at[is_linked]] = True
         here = is_place[at]
         num_spare = np.bincount(at[here], minlength=len(first))
-        num_spare[is_place] -= _inverses(row[plane[here]], at[here])[1]
+        num_spare[is_place] -= _inverses(row, at[here], plane[here])[1]
         is_linked = _is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
         part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
         is_wrong = np.bincount(part[num:][is_off], minlength=part.max() + 1) > 0
@@ -232,30 +232,25 @@ def _met(
 ) -> np.ndarray:
     """Where the planes at points (n, 4) meet after the least changes of those rows that move, which are changed in
     place. at, plane: pairs of points and planes, ascending."""
-    num, unknown = int(moves.sum()), np.where(moves, np.cumsum(moves) - 1, -1)[plane]
+    number = np.where(moves, np.cumsum(moves) - 1, -1)
     begin = np.searchsorted(at, np.arange(len(point_m) + 1))
-    inverse, _ = _inverses(row[plane], at)
+    inverse, _ = _inverses(row, at, plane)
     for _ in range(_NUM_ROUNDS):
-        off_m = (row.take(plane, 0) * point_m.take(at, 0)).sum(axis=1)
-        if np.abs(off_m).max() < _EXACT_M:
+        sums = _sums(row, scale, number, point_m, inverse, begin, plane)
+        if sums is None:
             break
-        lever = (point_m[at, None] @ scale[plane])[:, 0]
-        change = _solved(*_sums(row[plane], off_m, lever, inverse, begin, unknown, num))
+        change = _solved(*sums)
         if not np.abs(change).max(initial=0.0) < _NO_SOLUTION_M:
             # the points went further away in each round, or the equations have no solution: these planes do not meet
             break
-        row[moves] -= (scale[moves] @ change[..., None])[..., 0]
-        inverse, _ = _inverses(row[plane], at)
-        off_m = (row[plane] * point_m[at]).sum(axis=1)
-        way_m = np.add.reduceat(row[plane, :3] * off_m[:, None], begin[:-1])
-        point_m[:, :3] -= (inverse @ way_m[..., None])[..., 0]
+        inverse = _followed(row, scale, number, change, point_m, begin, at, plane)
     return point_m
 
 
-@entry
-def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+@both
+def _inverses(row: np.ndarray, at: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(what the products of rows and distances, summed, are multiplied by for the way to where planes meet, (n, 3, 3);
-    the number of directions that they determine, (n,)). row: (k, 4), at ascending places ``at``.
+    the number of directions that they determine, (n,)). at, plane: the pairs (k,) of places, ascending, and planes.
 
     By rotations (Jacobi 1846) that make the matrix of each place diagonal.
     """
@@ -272,7 +267,7 @@ def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         while k < len(at) and at[k] == at[begin]:
             for a in range(3):
                 for b in range(3):
-                    square[a, b] += row[k, a] * row[k, b]
+                    square[a, b] += row[plane[k], a] * row[plane[k], b]
             k += 1
         begin = k
         for turn in range(_NUM_TURNS):
@@ -304,40 +299,82 @@ def _inverses(row: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @entry
 def _sums(
     row: np.ndarray,
-    off_m: np.ndarray,
-    lever: np.ndarray,
+    scale: np.ndarray,
+    number: np.ndarray,
+    point_m: np.ndarray,
     inverse: np.ndarray,
     begin: np.ndarray,
-    unknown: np.ndarray,
-    num: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    plane: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """(pairs of planes (k, 2), what each adds to the matrix (k, 3, 3), right sides (num, 3)): the normal equations of
-    changes of ``num`` planes.
-
-    row, off_m, lever: of each plane at each place, how far it is from it, and how much further by its changes. unknown:
-    the number of the plane, -1 if it stays."""
-    num_pairs = 0
+    the changes of planes; None if all planes meet. number: (p,), of each plane that moves, -1 if it stays. begin: where
+    the planes of each point begin in ``plane``."""
+    num_pairs, off_m, is_off = 0, np.zeros(len(plane)), False
+    lever = np.zeros((len(plane), 3))
     for at in range(len(inverse)):
-        num_moved = (unknown[begin[at] : begin[at + 1]] >= 0).sum()
+        num_moved = 0
+        for i in range(begin[at], begin[at + 1]):
+            num_moved += number[plane[i]] >= 0
+            for b in range(4):
+                off_m[i] += row[plane[i], b] * point_m[at, b]
+                for a in range(3):
+                    lever[i, a] += point_m[at, b] * scale[plane[i], b, a]
+            is_off |= abs(off_m[i]) >= _EXACT_M
         num_pairs += num_moved * num_moved
+    if not is_off:
+        return None
     pair, share = np.empty((num_pairs, 2), np.int64), np.empty((num_pairs, 3, 3))
-    right, count = np.zeros((num, 3)), 0
+    right, count = np.zeros((number.max() + 1, 3)), 0
     for at in range(len(inverse)):
         for i in range(begin[at], begin[at + 1]):
-            for j in range(begin[at], begin[at + 1] if unknown[i] >= 0 else 0):
+            one = number[plane[i]]
+            for j in range(begin[at], begin[at + 1] if one >= 0 else 0):
                 # what is left of the distances of planes from a point wherever it is
-                apart = 1.0 if i == j else 0.0
+                apart, other = 1.0 if i == j else 0.0, number[plane[j]]
                 for a in range(3):
                     for b in range(3):
-                        apart -= row[i, a] * inverse[at, a, b] * row[j, b]
+                        apart -= row[plane[i], a] * inverse[at, a, b] * row[plane[j], b]
                 for a in range(3):
-                    right[unknown[i], a] += apart * off_m[j] * lever[i, a]
-                    for b in range(3 if unknown[j] >= 0 else 0):
+                    right[one, a] += apart * off_m[j] * lever[i, a]
+                    for b in range(3 if other >= 0 else 0):
                         share[count, a, b] = apart * lever[i, a] * lever[j, b]
-                if unknown[j] >= 0:
-                    pair[count, 0], pair[count, 1] = unknown[i], unknown[j]
+                if other >= 0:
+                    pair[count, 0], pair[count, 1] = one, other
                     count += 1
     return pair, share, right
+
+
+@entry
+def _followed(
+    row: np.ndarray,
+    scale: np.ndarray,
+    number: np.ndarray,
+    change: np.ndarray,
+    point_m: np.ndarray,
+    begin: np.ndarray,
+    at: np.ndarray,
+    plane: np.ndarray,
+) -> np.ndarray:
+    """The inverses of :func:`_inverses` after the changes of planes, and changes the rows and points in place."""
+    for p in range(len(number)):
+        if number[p] >= 0:
+            for b in range(4):
+                for a in range(3):
+                    row[p, b] -= scale[p, b, a] * change[number[p], a]
+    inverse, _ = _inverses(row, at, plane)
+    way_m = np.empty(3)
+    for place in range(len(inverse)):
+        way_m[:] = 0.0
+        for i in range(begin[place], begin[place + 1]):
+            off_m = 0.0
+            for b in range(4):
+                off_m += row[plane[i], b] * point_m[place, b]
+            for b in range(3):
+                way_m[b] += row[plane[i], b] * off_m
+        for b in range(3):
+            for a in range(3):
+                point_m[place, b] -= inverse[place, b, a] * way_m[a]
+    return inverse
 
 
 @entry

@@ -10,9 +10,10 @@ import numpy as np
 from p2wss.mesh.meeting import planes_around, turned_over, with_meeting_planes
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
+from p2wss.mesh.shell_kernels import can_merge, thin_triangles
 from p2wss.mesh.topology import NEXT, first_of_faces
 from p2wss.mesh.triangulation import triangulated_in_space
-from p2wss.skeleton.types import FaceKind, distinct
+from p2wss.skeleton.types import FaceKind, distinct, writable
 
 # planes that a corner of theirs stays further from than this, or leaves by more than the second figure, stay
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
@@ -84,12 +85,16 @@ def _without_shortest(
     num = int(mesh.label.max(initial=0)) + 1
     vertex, label = np.divmod(distinct(mesh.triangle.astype(np.int64) * num + mesh.label[:, None]), num)
     begin = np.searchsorted(vertex, np.arange(len(mesh.vertex_m) + 1))
-    can_move = _that_can_move(mesh, vertex, label)
-    for row in rows[np.argsort(edge_m[rows], kind="stable")].tolist():
+    can_move, triangle = _that_can_move(mesh, vertex, label), writable(mesh.triangle, np.int64)
+    rows = rows[np.argsort(edge_m[rows], kind="stable")]
+    # each edge once, not for both its triangles
+    ends = np.sort(np.column_stack([mesh.triangle.ravel()[rows], mesh.triangle[:, NEXT].ravel()[rows]]))
+    rows = rows[np.sort(np.unique(ends @ [len(mesh.vertex_m), 1], return_index=True)[1])]
+    for row in rows.tolist():
         end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
         labels = [label[begin[v] : begin[v + 1]] for v in (end, gone)]
         around = frozenset(each.tobytes() for each in labels)
-        if around in kept or not _can_merge(mesh, end, gone):
+        if around in kept or not can_merge(triangle, len(mesh.vertex_m), end, gone):
             continue
         is_at, is_end = np.zeros(num, bool), np.zeros(len(mesh.vertex_m), bool)
         is_at[np.concatenate(labels)] = is_end[[end, gone]] = True
@@ -245,14 +250,6 @@ def _open_sides(mesh: Mesh) -> tuple[np.ndarray, int]:
     return np.sort(side[mesh.twin.ravel() < 0]), len(side) - len(distinct(side))
 
 
-def _can_merge(mesh: Mesh, end: int, gone: int) -> bool:
-    """Whether the mesh stays a manifold if the two ends of an edge become one vertex."""
-    at_end, at_gone = (mesh.triangle == end).any(axis=1), (mesh.triangle == gone).any(axis=1)
-    one, other = (np.bincount(mesh.triangle[at].ravel()) for at in (at_end, at_gone))
-    num_common = np.count_nonzero(one[: len(other)] * other[: len(one)])
-    return bool((at_end & at_gone).sum() == 2 and num_common == 4)
-
-
 def _merged(mesh: Mesh, end: int, gone: int) -> Mesh:
     """The mesh after the ends of an edge have become one vertex; the other one has no triangle."""
     stays = ~((mesh.triangle == end).any(axis=1) & (mesh.triangle == gone).any(axis=1))
@@ -280,4 +277,5 @@ def _flipped(mesh: Mesh) -> Mesh:
 
 def _is_thin(mesh: Mesh) -> np.ndarray:
     """bool (t,): whether a triangle has no height."""
-    return np.asarray(2 * mesh.area_m2 < _NO_HEIGHT_M * mesh.edge_m.max(axis=1))
+    triangle = writable(mesh.triangle, np.int64)
+    return np.asarray(thin_triangles(writable(mesh.vertex_m, np.float64), triangle, _NO_HEIGHT_M))

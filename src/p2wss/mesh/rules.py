@@ -17,7 +17,7 @@ from p2wss.mesh.faces import Surface
 from p2wss.mesh.topology import NEXT, crossed, twins, unit_normals
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import cross, distinct, next_in_ring, numbered
+from p2wss.skeleton.types import cross, distinct, next_in_ring, numbered, writable
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -165,9 +165,8 @@ class _Faces:
 
 def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray | None = None) -> bool:
     """Whether two of the triangles (t, 3), one of them asked (k,), have more in common than a vertex or an edge."""
-    triangle = triangle.astype(np.int64)
-    corner_m, asked = vertex_m[triangle], np.arange(len(triangle)) if asked is None else asked
-    return bool(shell_kernels.any_intersect(vertex_m, triangle, corner_m, unit_normals(corner_m), asked))
+    asked = np.arange(len(triangle)) if asked is None else asked
+    return bool(shell_kernels.any_intersect(vertex_m, writable(triangle, np.int64), asked))
 
 
 def shell_code(triangle: np.ndarray) -> int:

@@ -1,4 +1,4 @@
-"""The test whether triangles of a solid cross, compiled."""
+"""Tests of the triangles of a solid, compiled: whether they cross, are thin, and may lose an edge."""
 
 from __future__ import annotations
 
@@ -12,43 +12,105 @@ _FOLD_RAD = 1e-3
 
 
 @entry
-def any_intersect(
-    vertex_m: np.ndarray, triangle: np.ndarray, corner_m: np.ndarray, normal: np.ndarray, asked: np.ndarray
-) -> bool:
-    """Whether one of the triangles (t, 3) that are asked, int64 (k,), has more in common with another one than a vertex
-    or an edge. corner_m: (t, 3, 3). normal: (t, 3), unit vectors."""
-    num = len(triangle)
-    low, high = np.empty((num, 3)), np.empty((num, 3))
-    for t in range(num):
-        for i in range(3):
-            a, b, c = corner_m[t, 0, i], corner_m[t, 1, i], corner_m[t, 2, i]
-            low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
+def any_intersect(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray) -> bool:
+    """Whether one of the triangles, int64 (t, 3), that are asked, int64 (k,), has more in common with another one than
+    a vertex or an edge."""
+    num_near, normal = 0, np.empty((len(triangle), 3))
+    near, low, high = (
+        np.empty(len(triangle), np.int64),
+        np.empty((len(triangle), 3)),
+        np.empty((len(triangle), 3)),
+    )
     # those in the box of all that are asked
-    least, most, is_there = np.full(3, np.inf), np.full(3, -np.inf), np.ones(num, np.bool_)
+    least, most = np.full(3, np.inf), np.full(3, -np.inf)
     for s in asked:
+        _box(vertex_m, triangle[s], low[0], high[0])
         for i in range(3):
-            least[i], most[i] = min(least[i], low[s, i]), max(most[i], high[s, i])
-    for t in range(num):
+            least[i], most[i] = min(least[i], low[0, i]), max(most[i], high[0, i])
+    for t in range(len(triangle)):
+        _box(vertex_m, triangle[t], low[num_near], high[num_near])
+        is_near = True
         for i in range(3):
-            is_there[t] &= low[t, i] <= most[i] and high[t, i] >= least[i]
-    order = np.flatnonzero(is_there)
+            is_near &= low[num_near, i] <= most[i] and high[num_near, i] >= least[i]
+        if is_near:
+            doubled_area(vertex_m, triangle[t], normal[t])
+            length = max(np.sqrt(normal[t, 0] ** 2 + normal[t, 1] ** 2 + normal[t, 2] ** 2), 1e-300)
+            for i in range(3):
+                normal[t, i] /= length
+            near[num_near], num_near = t, num_near + 1
     # in the order of where they begin, so that few are compared
-    order = order[np.argsort(low[order, 0])]
-    from_m, to_m = low[order], high[order]
-    begin, widest = from_m[:, 0].copy(), (to_m[:, 0] - from_m[:, 0]).max() if len(order) else 0.0
-    is_done = np.zeros(num, np.bool_)
+    order = np.argsort(low[:num_near, 0])
+    near, from_m, to_m = near[order], low[order], high[order]
+    begin, widest = from_m[:, 0].copy(), (to_m[:, 0] - from_m[:, 0]).max() if num_near else 0.0
+    is_done = np.zeros(len(triangle), np.bool_)
     for s in asked:
         is_done[s] = True
-        first, last = np.searchsorted(begin, low[s, 0] - widest), np.searchsorted(begin, high[s, 0])
-        for k in range(first, last):
-            if low[s, 0] > to_m[k, 0] or low[s, 1] > to_m[k, 1] or from_m[k, 1] > high[s, 1]:
+        _box(vertex_m, triangle[s], least, most)
+        for k in range(np.searchsorted(begin, least[0] - widest), np.searchsorted(begin, most[0])):
+            if least[0] > to_m[k, 0] or least[1] > to_m[k, 1] or from_m[k, 1] > most[1]:
                 continue
-            if low[s, 2] > to_m[k, 2] or from_m[k, 2] > high[s, 2]:
+            if least[2] > to_m[k, 2] or from_m[k, 2] > most[2]:
                 continue
-            t = order[k]
+            t = near[k]
             if not is_done[t] and _triangles_intersect(vertex_m, triangle, normal, s, t):
                 return True
     return False
+
+
+@inner
+def _box(vertex_m: np.ndarray, triangle: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
+    """Sets the ends (3,) of the box around a triangle (3,), a little larger."""
+    for i in range(3):
+        a, b, c = vertex_m[triangle[0], i], vertex_m[triangle[1], i], vertex_m[triangle[2], i]
+        low[i], high[i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
+
+
+@inner
+def doubled_area(vertex_m: np.ndarray, triangle: np.ndarray, result: np.ndarray) -> None:
+    """Sets the result (3,) to the normal of a triangle (3,), as long as twice its area."""
+    one, two, three = triangle
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        result[i] = (vertex_m[two, j] - vertex_m[one, j]) * (vertex_m[three, k] - vertex_m[one, k]) - (
+            vertex_m[two, k] - vertex_m[one, k]
+        ) * (vertex_m[three, j] - vertex_m[one, j])
+
+
+@entry
+def thin_triangles(vertex_m: np.ndarray, triangle: np.ndarray, height_m: float) -> np.ndarray:
+    """bool (t,): whether a triangle, int64 (t, 3), has less height than ``height_m``."""
+    result, normal = np.empty(len(triangle), np.bool_), np.empty(3)
+    for t in range(len(triangle)):
+        doubled_area(vertex_m, triangle[t], normal)
+        longest_m2 = 0.0
+        for i in range(3):
+            length_m2 = 0.0
+            for k in range(3):
+                length_m2 += (vertex_m[triangle[t, i], k] - vertex_m[triangle[t, i - 1], k]) ** 2
+            longest_m2 = max(longest_m2, length_m2)
+        area_m4 = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2
+        result[t] = area_m4 < height_m * height_m * longest_m2
+    return result
+
+
+@entry
+def can_merge(triangle: np.ndarray, num_vertices: int, end: int, gone: int) -> bool:
+    """Whether triangles, int64 (t, 3), stay a manifold if two vertices with a common edge become one: these have two
+    triangles in common, and no neighbours but those of the two."""
+    num_both, num_common = 0, 0
+    is_at_end, is_at_gone = np.zeros(num_vertices, np.bool_), np.zeros(num_vertices, np.bool_)
+    for t in range(len(triangle)):
+        has_end, has_gone = False, False
+        for vertex in triangle[t]:
+            has_end |= vertex == end
+            has_gone |= vertex == gone
+        num_both += has_end and has_gone
+        for vertex in triangle[t]:
+            is_at_end[vertex] |= has_end
+            is_at_gone[vertex] |= has_gone
+    for vertex in range(num_vertices):
+        num_common += is_at_end[vertex] and is_at_gone[vertex]
+    return num_both == 2 and num_common == 4
 
 
 @inner

@@ -6,10 +6,12 @@ import numpy as np
 
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import differs
+from p2wss.skeleton.types import differs, writable
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
 NEXT = np.array([1, 2, 0])
+# by which pairs of vertices are multiplied to spread them over a hash table (Knuth 1973, Fibonacci hashing)
+_SPREAD = -7_046_029_254_386_353_131
 # vertices nearer to each other are one in files
 _WELD_M = 1e-4
 
@@ -25,11 +27,27 @@ def twins(triangle: np.ndarray) -> np.ndarray:
 
 def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """int64 (n,): for each half-edge between vertices, int64 (n,), the one that runs the other way, -1 for none."""
-    size = int(max(start.max(initial=-1), end.max(initial=-1))) + 1
-    forward, back = start * size + end, end * size + start
-    order = np.argsort(forward, kind="stable")
-    candidate = order[np.minimum(np.searchsorted(forward[order], back), len(order) - 1)]
-    return np.where(forward[candidate] == back, candidate, -1)
+    return np.asarray(_reverses(writable(start, np.int64), writable(end, np.int64)))
+
+
+@entry
+def _reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The same, by a hash table with open addresses, in which of equal half-edges the first one is."""
+    size = 4
+    while size < 2 * len(start):
+        size *= 2
+    slot, result = np.full(size, -1), np.empty(len(start), np.int64)
+    for is_asked in (False, True):
+        for half in range(len(start)):
+            one, other = (end[half], start[half]) if is_asked else (start[half], end[half])
+            place = (((one << 31) + other) * _SPREAD >> 32) & (size - 1)
+            while slot[place] >= 0 and (start[slot[place]] != one or end[slot[place]] != other):
+                place = (place + 1) & (size - 1)
+            if is_asked:
+                result[half] = slot[place]
+            elif slot[place] < 0:
+                slot[place] = half
+    return result
 
 
 def doubled_areas(corner_m: np.ndarray) -> np.ndarray:
