@@ -96,9 +96,10 @@ format: install
 config: install
 	$(BIN)/python -m p2wss.config
 
-# the files of tests/mini, from src/p2wss/towns
+# the files of tests/mini and of p2wss demo
 mini: install
-	p2wss towns --seed 652 --out tests/mini --lidar
+	$(BIN)/python benchmarks/towns.py --kind streets --seed 652 --out tests/mini --lidar
+	cd benchmarks && ../$(BIN)/python -c "from pathlib import Path; import drawn_towns.files as f; f.write_demo(Path('../src/p2wss/cli/assets'))"
 
 # newest versions that resolve together, within envs/constraints.txt
 lock:

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 from drawn_towns.old import draw_old
+from drawn_towns.surface import draw_details
 from drawn_towns.wings import draw_terraces, draw_wings
 
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_SIZE_M, MAX_VERTICES, SCALE_M, Clues
 from p2wss.towns import draw_town
 from p2wss.towns.buildings import DrawnBuilding, Wing
-from p2wss.towns.surface import draw_details
 
 # of how many towns of each kind: houses of several bodies and terraces above all
 KINDS = {

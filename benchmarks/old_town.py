@@ -28,6 +28,7 @@ import geopandas as gpd
 import numpy as np
 import shapely
 from drawn_towns.files import ROOFS, write_town
+from drawn_towns.lidar import LIDAR
 from drawn_towns.old import TROUBLES, hillside_z_m
 from figures import Figures
 from scipy import ndimage
@@ -36,7 +37,7 @@ from scipy.spatial import cKDTree
 import p2wss
 from p2wss.clouds.reading import read_clouds
 from p2wss.mesh.surface import topmost
-from p2wss.towns import FOOTPRINTS, LIDAR
+from p2wss.towns import FOOTPRINTS
 
 SEED = 101
 CELL_M = 0.25

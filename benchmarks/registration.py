@@ -2,7 +2,7 @@
 
     python benchmarks/registration.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model src/p2wss/weights/point2wss.safetensors     # the network in place of the fit
-    p2wss towns --seed 7 --out town --lidar && .. --town town                 # simulated LiDAR instead
+    python benchmarks/towns.py --kind streets --seed 7 --lidar --out town && .. --town town  # simulated LiDAR instead
 
 Needs data and the judge, which are not part of the project.
 

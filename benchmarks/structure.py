@@ -26,6 +26,7 @@ import few_points
 import numpy as np
 import real
 from drawn_towns.files import ROOFS, write_town
+from drawn_towns.lidar import LIDAR
 from figures import Figures
 from roof_edges import EDGE_KINDS, Structure, structure
 
@@ -34,7 +35,7 @@ from p2wss.config import Config
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.product import reconstruct_buildings
 from p2wss.reconstruction.scene import Scene
-from p2wss.towns import FOOTPRINTS, LIDAR
+from p2wss.towns import FOOTPRINTS
 
 SEEDS = (101, 102)
 # by kind of town: shares of false and of missing edges, and of exact roofs, of which complexes have none

@@ -19,6 +19,7 @@ import numpy as np
 import real
 import structure
 from drawn_towns.files import ROOFS, write_town
+from drawn_towns.lidar import LIDAR
 from figures import Figures
 from roof_edges import structure as structure_of
 
@@ -29,7 +30,7 @@ from p2wss.fit import fitting
 from p2wss.fit.settings import PlanePrices, Planes, Thresholds
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.flat import with_fallback
-from p2wss.towns import FOOTPRINTS, LIDAR
+from p2wss.towns import FOOTPRINTS
 
 SEEDS = (7, 8)
 VARIATIONS: dict[str, tuple[float, ...]] = {

@@ -1,4 +1,4 @@
-"""Draw a town whose true roofs are known: footprints, terrain and stand-in LiDAR as of ``p2wss towns``, and its roofs.
+"""Draw a town: footprints and terrain as of ``p2wss towns``, stand-in LiDAR, and its true roofs, which are known.
 
     python benchmarks/towns.py --kind wings --seed 8 --lidar --out FOLDER
 
@@ -21,7 +21,7 @@ def main() -> None:
         required=True,
         help="wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall "
         "to wall; large: schools, convents, factories, .. of up to some 50 planes; complexes: several of them grown "
-        "together, of 50 to 300 planes",
+        "together, of 50 to 300 planes; streets: as of p2wss towns, without true roofs",
     )
     parser.add_argument("--seed", type=int, required=True, help="each seed from 0 on gives a different town")
     parser.add_argument(

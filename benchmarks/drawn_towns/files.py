@@ -8,34 +8,38 @@ import numpy as np
 import shapely
 
 from drawn_towns.large import LARGE_SWINGS_PER_S, draw_complexes, draw_large
+from drawn_towns.lidar import LIDAR, SWINGS_PER_S, scan_town, write_points
 from drawn_towns.old import draw_old
 from drawn_towns.wings import draw_terraces, draw_wings, true_solids
 from p2wss.formats.cityjson import Metadata, Solid, lines
 from p2wss.storage import files
-from p2wss.towns import FOOTPRINTS, LIDAR, TERRAIN
+from p2wss.towns import FOOTPRINTS, TERRAIN, draw_town
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import building_id, write_footprints, write_terrain
-from p2wss.towns.lidar import SWINGS_PER_S, scan_town, write_points
 from p2wss.towns.site import BUILDING_CLASS, CRS, GROUND_CLASS, UNCLASSIFIED_CLASS, in_lidar_tile
 
 ROOFS = "roofs/roofs.city.jsonl"
 # wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall to wall;
 # large: schools, convents, factories, .. of up to some 50 planes; complexes: several of them grown together,
-# of 50 to 300 planes
+# of 50 to 300 planes; streets: those of p2wss towns
 KINDS = {
     "wings": draw_wings,
     "terraces": draw_terraces,
     "old": draw_old,
     "large": draw_large,
     "complexes": draw_complexes,
+    "streets": draw_town,
 }
+MINIATURE_SEED = 652  # the town of streets under tests/mini
+# of p2wss demo: rows and detached houses between the centre and the edge of that town
+_DEMO = shapely.box(653_150, 6_860_690, 653_270, 6_860_790)
 # of the towns of complexes, whose surveys have last returns only
 WITHOUT_CLASSES = 1 / 3
 
 
 def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> list[DrawnBuilding]:
-    """Draw the town of ``seed`` of a kind of :data:`KINDS`, write its files and true roofs into ``folder`` and return
-    its buildings. Footprints, terrain and roofs are the same with and without the LiDAR."""
+    """Draw the town of ``seed`` of a kind of :data:`KINDS`, write its files and true roofs (of streets no roofs) into
+    ``folder`` and return its buildings. Footprints, terrain and roofs are the same with and without the LiDAR."""
     rng = np.random.Generator(np.random.PCG64(seed))
     town = KINDS[kind](rng)
     write_terrain(folder / TERRAIN, town[0].ground)
@@ -50,6 +54,8 @@ def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> l
             if rng.random() < WITHOUT_CLASSES:
                 points["classification"][:] = 0
         write_points(points, is_near & is_recorded, folder / LIDAR)
+    if kind == "streets":
+        return town
     solids = [
         Solid.of_triangles(building_id(index), *corners, {"shape": building.kind})
         for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True))
@@ -57,6 +63,14 @@ def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> l
     metadata = Metadata(int(CRS.removeprefix("EPSG:")))
     files.write_text(folder / ROOFS, "\n".join(lines(solids, metadata)) + "\n")
     return town
+
+
+def write_demo(folder: Path) -> None:
+    """Write the files of ``p2wss demo``: a few streets of the miniature's town, and LiDAR of them."""
+    rng = np.random.Generator(np.random.PCG64(MINIATURE_SEED))
+    streets = [building for building in draw_town(rng) if _DEMO.contains(building.footprint)]
+    write_footprints(streets, folder / "footprints.gpkg", rng)
+    write_points(*scan_town(streets, rng), folder / "lidar.laz")
 
 
 def recorded(

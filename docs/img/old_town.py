@@ -14,12 +14,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import shapely
 from drawn_towns.files import ROOFS
+from drawn_towns.lidar import LIDAR
 
 import p2wss
 from p2wss.clouds.reading import read_clouds
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
-from p2wss.towns import FOOTPRINTS, LIDAR
+from p2wss.towns import FOOTPRINTS
 
 # buildings and the directions of their sections, degrees
 CASES = {

@@ -1,7 +1,7 @@
 """Planes of a drawn house of several bodies: its points by height, by plane, and the roof (docs/img/planes.png).
 
 python benchmarks/towns.py --kind wings --lidar --seed 8 --out TOWN
-python docs/img/planes.py TOWN docs/img/planes.png     (needs matplotlib)
+PYTHONPATH=benchmarks python docs/img/planes.py TOWN docs/img/planes.png     (needs matplotlib)
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from drawn_towns.lidar import LIDAR
 from matplotlib.collections import PolyCollection
 
 import p2wss
 from p2wss.mesh.surface import topmost
 from p2wss.mesh.topology import NEXT
-from p2wss.towns import FOOTPRINTS, LIDAR
+from p2wss.towns import FOOTPRINTS
 
 HOUSE = "BATIMENT0000002000000102"
 

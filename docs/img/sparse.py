@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import real
 from drawn_towns.files import ROOFS
+from drawn_towns.lidar import LIDAR
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
@@ -22,7 +23,7 @@ from p2wss.config import Config
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT
 from p2wss.reconstruction.product import reconstruct_buildings
-from p2wss.towns import FOOTPRINTS, LIDAR
+from p2wss.towns import FOOTPRINTS
 
 NUM_POINTS, NUM_HOUSES = 20, 8
 # of the town, houses at even intervals

@@ -17,11 +17,10 @@ from p2wss.cli.parser import Command, file_option, option
     required=True,
     help="seed of the town; each seed gives a different town",
 )
-@file_option("--out", "output folder, with bdtopo/, rgealti/ and lidar/")
-@option("--lidar", is_flag=True, help="also simulate stand-in LiDAR for tile 0653_6861")
-def towns(seed: int, out: Path, lidar: bool) -> None:
-    """Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats."""
+@file_option("--out", "output folder, with bdtopo/ and rgealti/")
+def towns(seed: int, out: Path) -> None:
+    """Generate a synthetic town: footprints and terrain in IGN's file formats."""
     from p2wss.towns import write_town
 
-    town = write_town(out, seed, lidar)
+    town = write_town(out, seed)
     log.info(f"{out}: town {seed} with {len(town)} buildings")

@@ -14,15 +14,15 @@ import pytest
 import p2wss
 from p2wss import cli
 from p2wss.cli import doctor
+from p2wss.cli.demo import write_inputs
 from p2wss.reconstruction import area
 from p2wss.storage.arguments import EXTRAS
-from p2wss.towns import write_demo
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demo")
-    write_demo(folder)
+    write_inputs(folder)
     return folder
 
 

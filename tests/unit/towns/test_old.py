@@ -8,10 +8,10 @@ import numpy as np
 import shapely
 from drawn_towns.files import recorded
 from drawn_towns.old import TROUBLES, draw_old, hillside_z_m
+from drawn_towns.surface import Surface
 from drawn_towns.wings import true_solids
 
 from p2wss.towns.site import BUILDING_CLASS, UNCLASSIFIED_CLASS
-from p2wss.towns.surface import Surface
 
 
 def test_an_old_town_has_what_it_is_for() -> None:

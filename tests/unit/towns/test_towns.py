@@ -1,4 +1,5 @@
-"""The committed miniature is what ``p2wss towns`` draws, and has what the pipeline is to be tried on."""
+"""The committed miniature is what ``p2wss towns`` draws, and has what the pipeline is to be tried on; so are the files
+of the demo."""
 
 from __future__ import annotations
 
@@ -11,11 +12,15 @@ import laspy
 import numpy as np
 import pytest
 import shapely
+from drawn_towns.files import MINIATURE_SEED, write_demo
+from drawn_towns.files import write_town as write_town_with_lidar
+from drawn_towns.lidar import LIDAR
 from places import MINI, ROOT
 
 from p2wss.cli import main
+from p2wss.cli.demo import write_inputs
 from p2wss.data.tiling import tiles_of_points
-from p2wss.towns import FOOTPRINTS, LIDAR, MINIATURE_SEED, draw_town, write_town
+from p2wss.towns import FOOTPRINTS, draw_town, write_town
 
 
 @pytest.fixture(scope="module")
@@ -50,13 +55,8 @@ def test_the_command_draws_the_committed_terrain(town_folder: Path) -> None:
         assert (town_folder / "rgealti" / name).read_bytes() == (MINI / "rgealti" / name).read_bytes()
 
 
-def test_without_the_option_there_is_no_cloud(town_folder: Path) -> None:
-    files = [path for path in town_folder.rglob("*") if path.is_file()]
-    assert sorted({path.parent.name for path in files}) == ["bdtopo", "rgealti"]
-
-
 def test_a_second_drawing_writes_the_same_bytes(town_folder: Path, tmp_path: Path) -> None:
-    write_town(tmp_path, MINIATURE_SEED, with_lidar=False)
+    write_town(tmp_path, MINIATURE_SEED)
     assert (tmp_path / FOOTPRINTS).read_bytes() == (town_folder / FOOTPRINTS).read_bytes()
 
 
@@ -80,11 +80,21 @@ def test_the_drawing_is_independent_of_the_kernel() -> None:
 
 
 @pytest.mark.slow
-def test_the_command_draws_the_committed_cloud(tmp_path: Path) -> None:
-    assert main(["towns", "--seed", str(MINIATURE_SEED), "--out", str(tmp_path), "--lidar"]) == 0
+def test_the_committed_cloud_is_drawn(tmp_path: Path) -> None:
+    write_town_with_lidar(tmp_path, MINIATURE_SEED, "streets")
     again, committed = laspy.read(tmp_path / LIDAR), laspy.read(MINI / LIDAR)
     np.testing.assert_array_equal(again.points.array, committed.points.array)
     assert again.header.generating_software == committed.header.generating_software
+
+
+def test_the_committed_demo_is_drawn(tmp_path: Path) -> None:
+    write_demo(tmp_path)
+    cloud, footprints = write_inputs(tmp_path / "shipped")
+    again, shipped = laspy.read(tmp_path / cloud.name), laspy.read(cloud)
+    np.testing.assert_array_equal(again.points.array, shipped.points.array)
+    drawn, known = gpd.read_file(tmp_path / footprints.name), gpd.read_file(footprints)
+    assert drawn.drop(columns="geometry").equals(known.drop(columns="geometry")) and len(known) == 31
+    assert shapely.equals_exact(drawn.geometry, known.geometry, 1e-6).all()
 
 
 def test_the_town_has_what_it_is_for(footprints: gpd.GeoDataFrame) -> None:

@@ -12,6 +12,7 @@ import laspy
 import numpy as np
 import pyproj
 
+from drawn_towns.surface import CELL_M, Surface, draw_trees
 from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import DATE
@@ -25,20 +26,14 @@ from p2wss.towns.site import (
     ground_z_m,
     in_lidar_tile,
 )
-from p2wss.towns.surface import CELL_M, Surface, draw_trees
 
+LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
 FLIGHT_M = 850.0  # above the ground
 SWING_DEG = 18.0
 SWINGS_PER_S = 150.0  # half swings, from one side to the other
 SPEED_M_S = 62.0
 PULSES_PER_S = 270_000
 HEADINGS_DEG = (64.0, 244.0)  # two strips, there and back
-
-
-def write_lidar(town: list[DrawnBuilding], path: Path, rng: np.random.Generator) -> None:
-    """Scan the buildings of the LiDAR tile into LAZ."""
-    points, is_kept = scan_town(town, rng)
-    write_points(points, is_kept, path)
 
 
 def scan_town(
