@@ -1,6 +1,6 @@
 """The fit on simulated buildings with known eave height and angles: errors beside their bars, and their causes.
 
-Used by real.py. Which edges count as seen: :func:`p2wss.eval.parameters.seen_edges`.
+Used by real.py. Which edges count as seen: :func:`p2wss.eval.measure.seen_edges`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from p2wss import skeleton
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction
 from p2wss.data.manifest import read_manifest
-from p2wss.eval import cases, methods, parameters
+from p2wss.eval import cases, measure, methods
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
 from p2wss.reconstruction.network import reconstruct_with_network
@@ -61,7 +61,7 @@ def errors(labelled: list[Case], reconstructions: list[Reconstruction]) -> list[
         case.angle_deg if row.angle_deg is None else row.angle_deg
         for case, row in zip(labelled, reconstructions, strict=True)
     ]
-    masks = parameters.seen_edges(labelled, angle_deg)
+    masks = measure.seen_edges(labelled, angle_deg)
     return [_error(*pair) for pair in zip(labelled, reconstructions, masks, strict=True)]
 
 

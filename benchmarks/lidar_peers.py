@@ -21,7 +21,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.scans.caster import CHUNK_PULSES, Caster
 from p2wss.scans.hits import Hits, empty_hits
 from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, empty_rays, generate
-from p2wss.scans.scene import build_surface
+from p2wss.scans.scan import build_surface
 from p2wss.scans.surface import Surface
 from p2wss.scans.survey import Strip
 

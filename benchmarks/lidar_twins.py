@@ -27,7 +27,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.scans.caster import cast
 from p2wss.scans.clutter import add_clutter
 from p2wss.scans.pulses import PARALLEL, Box
-from p2wss.scans.scene import build_surface, local_buildings
+from p2wss.scans.scan import build_surface, local_buildings
 from p2wss.scans.surface import las_classes
 from p2wss.scans.survey import Strip, plan
 

@@ -28,7 +28,7 @@ from p2wss.config import Config
 from p2wss.crops.simulated import crop_simulated
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
-from p2wss.eval.parameters import target_height_m
+from p2wss.eval.measure import target_height_m
 from p2wss.nets.predictor import load_predictor
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS

@@ -35,7 +35,7 @@ from p2wss.data.tiling import grown, tile_bounds
 from p2wss.reconstruction.outputs.vegetation import Plant, plants
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.scans.clutter import beside_walls
-from p2wss.scans.scene import build_surface, local_buildings
+from p2wss.scans.scan import build_surface, local_buildings
 from p2wss.scans.surface import las_classes
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS

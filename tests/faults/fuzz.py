@@ -51,7 +51,7 @@ from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.nets import weights_file
 from p2wss.nets.weights import read_weights
-from p2wss.scans.scene import build_surface, local_buildings
+from p2wss.scans.scan import build_surface, local_buildings
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.buildings import BUILDINGS

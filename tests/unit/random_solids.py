@@ -22,7 +22,7 @@ from p2wss.formats import cityjson
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 from p2wss.mesh.repair import surfaces_to_write
-from p2wss.reconstruction.valid import with_valid_solids
+from p2wss.reconstruction.product import with_valid_solids
 from p2wss.scenes.roofs import ANGLES_DEG, FootprintEdges, draw_angles
 from p2wss.skeleton.types import Polygons
 

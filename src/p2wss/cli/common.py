@@ -18,11 +18,11 @@ from p2wss.data import reasons
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
     from p2wss.reconstruction.scene import Scene
 
-log = logging.getLogger("p2wss")
 # buildings to check, and files of earlier runs, that the end of a run names
 NUM_NAMED = 5
 CITY = (".json", ".jsonl")

@@ -64,7 +64,7 @@ class Manifest:
     """The shards of the stage crops, in the order of the manifest."""
 
     shards: Sequence[Shard]
-    # see p2wss.crops.selection; a data set that is absent is used whole
+    # see p2wss.crops.manifest; a data set that is absent is used whole
     selection: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
 

@@ -22,7 +22,7 @@ from p2wss.eval import figures, tables
 from p2wss.eval.cases import Case, cases_of
 from p2wss.eval.reconstructions import Key, read_reconstructions
 from p2wss.eval.viewer import View, choices, viewer
-from p2wss.formats import html
+from p2wss.formats import viewer as page_parts
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import reading
 from p2wss.storage.schemas.crops import REAL, SIMULATED
@@ -217,7 +217,7 @@ def _latex(frame: pd.DataFrame, caption: str, label: str) -> str:
 
 def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFrame]) -> str:
     """The HTML of the report."""
-    environment = html.environment("p2wss.eval", "p2wss.formats")
+    environment = page_parts.environment("p2wss.eval", "p2wss.formats")
     environment.filters["cell"] = _cell
     names = {run.method: run.name for run in tables.ordered(inputs.runs)}
     shown = {method: name for method, name in names.items() if method != "constant"}

@@ -11,8 +11,7 @@ import shapely
 
 from p2wss.data import reasons
 from p2wss.storage.features import Features
-
-log = logging.getLogger(__name__)
+from p2wss.storage.log_lines import log
 
 # column with the ids of those that a footprint overlaps, if there are any
 COLUMN = "overlapping_ids"

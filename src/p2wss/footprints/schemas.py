@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,8 +14,7 @@ from p2wss.footprints.osm_tags import with_others
 from p2wss.footprints.vector_files import is_missing
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-
-log = logging.getLogger(__name__)
+from p2wss.storage.log_lines import log
 
 METRES_PER_FLOOR = 3.0
 _MAX_HEIGHT_M = 1000.0

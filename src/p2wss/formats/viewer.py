@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.formats import html
 from p2wss.formats.materials import MATERIALS, materials_of
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
@@ -148,8 +147,8 @@ def scene_page(
     present = {
         name for building in buildings for name, value in building.attributes.items() if value is not None
     }
-    return (
-        html.environment("p2wss.formats")
+    return str(
+        environment("p2wss.formats")
         .get_template("scene.html.j2")
         .render(
             title=title,
@@ -157,6 +156,24 @@ def scene_page(
             viewer=viewer(buildings, layers, together=True, place=place) if buildings else None,
             columns={name: text for name, text in COLUMNS.items() if name in present or name == "state"},
         )
+    )
+
+
+def environment(*packages: str) -> Any:
+    """The environment of jinja2 for templates in the folders ``templates`` of packages, such as ``p2wss.eval``: text
+    from the data is escaped.
+
+    A template that uses an undefined value raises ``jinja2.UndefinedError``. Lines that hold only a statement leave
+    no blank lines in the page.
+    """
+    import jinja2  # only once a page is written
+
+    return jinja2.Environment(
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package) for package in packages]),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
 
 

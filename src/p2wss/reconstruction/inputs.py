@@ -3,7 +3,6 @@ signatures and headers of the files."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,11 +27,11 @@ from p2wss.reconstruction.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import UNKNOWN, placed, unit_m, with_heights
+from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
-log = logging.getLogger("p2wss")
 CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.LasData | Cloud"
 FootprintInput: TypeAlias = (
     "str | Path | gpd.GeoDataFrame | gpd.GeoSeries | shapely.Geometry | Sequence[shapely.Geometry]"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -25,8 +24,8 @@ from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import vertical_part
+from p2wss.storage.log_lines import log
 
-log = logging.getLogger("p2wss")
 # footprints whose points are read; those of plausibility.check are among as many
 NUM_SAMPLED = 200
 

@@ -7,7 +7,6 @@ more memory than its points of one batch.
 from __future__ import annotations
 
 import html
-import logging
 import sys
 import tempfile
 from collections import Counter
@@ -61,6 +60,7 @@ from p2wss.storage import files
 from p2wss.storage.arguments import checked, public
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features
+from p2wss.storage.log_lines import log
 from p2wss.storage.progress import Progress
 from p2wss.storage.provenance import fingerprint
 from p2wss.storage.temporary import Closeable
@@ -71,8 +71,6 @@ if TYPE_CHECKING:
 
     from p2wss.reconstruction.explain import Explanation
     from p2wss.reconstruction.network import Predictor
-
-log = logging.getLogger("p2wss")
 
 
 @dataclass(frozen=True)

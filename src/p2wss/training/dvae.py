@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +15,11 @@ from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 from p2wss.training import augment, loop
 from p2wss.training.dataset import BatchSampler, BuildingDataset, TrainingLimits
 from p2wss.training.shards import describe, load_dataset
 
-log = logging.getLogger("p2wss")
 # with a smaller share of its codes in use a tokenizer carries no information
 MIN_CODE_USAGE = 0.05
 # share of the training after which temperature and KL weight have their final values

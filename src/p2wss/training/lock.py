@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -11,8 +10,7 @@ from filelock import FileLock, Timeout
 
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
-
-log = logging.getLogger("p2wss")
+from p2wss.storage.log_lines import log
 
 # a training whose Snakemake was killed stops at its next step: this long, the one that follows waits for it
 _PATIENCE_S = 60.0

@@ -6,7 +6,6 @@ same steps as one that was not, bit for bit on a CPU.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import signal
@@ -24,11 +23,10 @@ from p2wss.config import Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
 from p2wss.training.state import TrainingState, num_steady_steps
-
-log = logging.getLogger("p2wss")
 
 METRICS_EVERY_STEPS = 20
 # the process of the Snakemake that started this one, see workflow/rules/common.smk

@@ -6,7 +6,6 @@ inference has no other ground; labels, which refer to the terrain of the simulat
 
 from __future__ import annotations
 
-import logging
 import math
 from pathlib import Path
 
@@ -26,12 +25,11 @@ from p2wss.nets.tokenizer import Tokenizer
 from p2wss.nets.transformer import Block
 from p2wss.nets.weights import load_dvae, load_model
 from p2wss.storage import files
+from p2wss.storage.log_lines import log
 from p2wss.training import augment, loop
 from p2wss.training.dataset import BatchSampler, BuildingDataset, training_limits
 from p2wss.training.masking import mask_parameters, mask_patches
 from p2wss.training.shards import describe, load_dataset
-
-log = logging.getLogger("p2wss")
 
 
 def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, code: str) -> Point2Wss:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -22,8 +21,6 @@ from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
 from p2wss.training.dataset import BuildingDataset, TrainingLimits
-
-log = logging.getLogger("p2wss")
 
 _CLOUD_COLUMNS = [
     "split",

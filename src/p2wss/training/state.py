@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 from io import BytesIO
 from pathlib import Path
@@ -16,8 +15,7 @@ from torch.optim.lr_scheduler import LambdaLR
 from p2wss.config import Optimiser
 from p2wss.nets import distributed
 from p2wss.storage import files, integrity
-
-log = logging.getLogger("p2wss")
+from p2wss.storage.log_lines import log
 
 METRICS_NAME = "metrics.jsonl"
 MAX_CHECKPOINTS = 2

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from p2wss.config import Dataset
-from p2wss.crops.selection import choose
+from p2wss.crops.manifest import choose
 from p2wss.data.manifest import Manifest, building_ranks
 
 

@@ -16,7 +16,7 @@ from truth_network import TruthNetwork
 from p2wss import skeleton
 from p2wss.config import Config, Eval
 from p2wss.data.building import Building, Reconstruction
-from p2wss.eval import cases, measure, methods, parameters, tables
+from p2wss.eval import cases, measure, methods, tables
 from p2wss.eval.measure import roof_kind
 from p2wss.eval.reconstructions import Key
 from p2wss.reconstruction.flat import constant
@@ -109,12 +109,12 @@ def test_seen_edges_are_those_with_points_over_a_sloped_face(hamlet_cases: list[
         )
     truth = [case.angle_deg for case in thinned if case.angle_deg is not None]
     tents = [np.full(len(angle), 30.0) for angle in truth]
-    is_seen = parameters.seen_edges(thinned, truth)
+    is_seen = measure.seen_edges(thinned, truth)
     together = np.concatenate(is_seen)
     assert 0.1 < together.mean() < 0.95
-    alone = [parameters.seen_edges([case], [angle])[0] for case, angle in zip(thinned, truth, strict=True)]
+    alone = [measure.seen_edges([case], [angle])[0] for case, angle in zip(thinned, truth, strict=True)]
     assert all(map(np.array_equal, is_seen, alone))
-    is_seen_of_tents = parameters.seen_edges(thinned, tents)
+    is_seen_of_tents = measure.seen_edges(thinned, tents)
     assert np.concatenate(is_seen_of_tents).sum() > together.sum()
     for case, tent, mask, tent_mask in zip(thinned, tents, is_seen, is_seen_of_tents, strict=True):
         assert case.angle_deg is not None
@@ -148,7 +148,7 @@ def test_table_1_has_the_variants_over_all_and_over_seen_values(
     assert of_network == pytest.approx(np.abs(truth - 30).mean(), abs=1e-4)
     assert errors["Fit alone MAE"]["Height (m)"] < 0.05
     angles = [reconstructions[FIT][case.key].angle_deg for case in hamlet_cases[:16]]
-    is_seen = np.concatenate(parameters.seen_edges(hamlet_cases[:16], angles))
+    is_seen = np.concatenate(measure.seen_edges(hamlet_cases[:16], angles))
     assert errors["Fit alone count"]["Angles, roof face seen (°)"] == is_seen.sum() <= len(truth)
     assert errors["Point2WSS, all masked count"].sum() == 0
 

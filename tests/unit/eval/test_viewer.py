@@ -22,8 +22,7 @@ import p2wss
 from p2wss.config import Eval, Reconstruct
 from p2wss.eval import measure, tables
 from p2wss.eval.viewer import MAX_POINTS, choices, viewer
-from p2wss.formats import html
-from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, Viewer, scene_page
+from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, Viewer, environment, scene_page
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.flat import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
@@ -154,7 +153,7 @@ def path(view: Viewer, tmp_path_factory: pytest.TempPathFactory) -> Path:
         '<!doctype html><meta charset="utf-8"><meta name="viewport" content="width=device-width"><h1>Top</h1>'
     )
     path = tmp_path_factory.mktemp("page") / "report.html"
-    templates = html.environment("p2wss.formats")
+    templates = environment("p2wss.formats")
     parts = [
         templates.get_template(name).render(viewer=view)
         for name in ("viewer.html.j2", "viewer_scripts.html.j2")

@@ -352,14 +352,15 @@ def test_points_that_do_not_count_are_named_where_none_is_left(tmp_path: Path) -
         built(tmp_path / "c.laz", houses.footprints())
 
 
-def test_the_setting_of_the_layer_has_its_name_in_python(
+def test_settings_of_footprints_have_their_names_in_python(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     for name in ("roofs", "others"):
-        houses.footprints().to_file(tmp_path / "f.gpkg", layer=name)
+        houses.footprints().assign(id="a").to_file(tmp_path / "f.gpkg", layer=name)
     with caplog.at_level("INFO"):
         built(houses.write_cloud(tmp_path / "c.laz"), tmp_path / "f.gpkg")
     assert "reconstruct.footprint_layer reads another: others" in caplog.text
+    assert "(reconstruct.id_field selects another column)" in caplog.text
 
 
 @pytest.mark.parametrize("other", ["EPSG:32631", "EPSG:4326"])

@@ -17,9 +17,8 @@ from p2wss.fit.settings import THRESHOLDS
 from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.mesh.rules import Breach
-from p2wss.reconstruction import valid
-from p2wss.reconstruction.product import reconstruct_buildings
-from p2wss.reconstruction.valid import simpler_fits, with_valid_solids
+from p2wss.reconstruction import product
+from p2wss.reconstruction.product import reconstruct_buildings, simpler_fits, with_valid_solids
 from p2wss.skeleton.types import Polygons
 
 
@@ -106,6 +105,6 @@ def test_the_product_falls_back_to_a_flat_roof_with_the_reason(monkeypatch: pyte
     assert (flat.method, flat.status) == ("lod1", reasons.INVALID_SOLID)
     assert flat.has_mesh and flat.eave_height_m == pytest.approx(6.0)
     # nothing is valid
-    monkeypatch.setattr(valid, "surfaces_to_write", lambda mesh, origin_m: ([], [Breach(302)]))
+    monkeypatch.setattr(product, "surfaces_to_write", lambda mesh, origin_m: ([], [Breach(302)]))
     (none,) = reconstruct_buildings([building()], None, Reconstruct())
     assert not none.has_mesh and none.status == reasons.INVALID_SOLID

@@ -7,7 +7,7 @@ import shapely
 
 from p2wss.config import Scenes
 from p2wss.data.terrain import Terrain
-from p2wss.scenes.heights import DRAWN_BY_NATURE_M, eave_heights, ground_heights
+from p2wss.scenes.cut import DRAWN_BY_NATURE_M, eave_heights, ground_heights
 from p2wss.storage.features import Features, columns_of
 
 CONFIG = Scenes()

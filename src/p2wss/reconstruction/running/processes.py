@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import faulthandler
 import gc
-import logging
 import os
 import pickle
 import tempfile
@@ -22,6 +21,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import Scratch
 
 # numbers in a pipe, of 4 bytes each: a quarter of what one holds
@@ -29,7 +29,6 @@ _MAX_PIPED = 4096
 # in place of the number of a value: what follows is an error
 _ERROR = -1
 
-log = logging.getLogger("p2wss")
 
 S = TypeVar("S")
 T = TypeVar("T")

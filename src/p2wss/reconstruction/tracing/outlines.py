@@ -8,7 +8,6 @@ that neighbours share bit-identical walls. Outlines are those of roofs, which ov
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,8 +28,8 @@ from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, r
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.log_lines import log
 
-log = logging.getLogger("p2wss")
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
 # clouds of nearly the same density have the same cells
 _POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20

@@ -86,7 +86,7 @@ MEASURES = pa.schema(
         field(
             "is_angle_seen",
             pa.list_(pa.bool_()),
-            "per edge: ten points or more show its angle (p2wss.eval.parameters.seen_edges)",
+            "per edge: ten points or more show its angle (p2wss.eval.measure.seen_edges)",
             True,
         ),
         field(
