@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import Shell
@@ -22,7 +23,7 @@ from p2wss.storage.errors import InputError
 if TYPE_CHECKING:
     import manifold3d
 
-OVERLAP = 501
+OVERLAP, APART = 501, 503
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ def check_file(path: str | Path) -> Validity:
             codes[name].add(breach.code)
     for (_, name, _), solids in composites.items():
         # a boolean operation needs solids that are valid themselves
-        if name not in codes and _overlap(solids):
-            codes[name].add(OVERLAP)
+        if name not in codes and (code := _breach_of_composite(solids)):
+            codes[name].add(code)
     if not num_solids:
         raise InputError(f"{path}: has no solids to check")
     invalid = {
@@ -71,22 +72,24 @@ def check_file(path: str | Path) -> Validity:
     return Validity(num_solids, invalid)
 
 
-def _overlap(solids: Sequence[Sequence[Shell]]) -> bool:
-    """Whether two of these solids, each a list of shells, have more in common than the tolerance makes of touching
-    faces."""
+def _breach_of_composite(solids: Sequence[Sequence[Shell]]) -> int | None:
+    """The rule that these solids, each a list of shells, break together: two of them have more in common than the
+    tolerance makes of touching faces, or they are apart by more than it."""
     corners = [np.concatenate([_corners(shell) for shell in solid]) for solid in solids]
     # coordinates of a CRS are too large for differences of them
     corners = [each - corners[0].min(axis=(0, 1)) for each in corners]
     bodies = [_manifold(each) for each in corners]
     boxes = [(each.min(axis=(0, 1)), each.max(axis=(0, 1))) for each in corners]
+    touch = np.eye(len(solids), dtype=bool)
     for a, b in combinations(range(len(solids)), 2):
         low, high = np.maximum(boxes[a][0], boxes[b][0]), np.minimum(boxes[a][1], boxes[b][1])
-        if (high - low <= VAL3DITY.snap_m).any():
+        if (low - high > VAL3DITY.snap_m).any():
             continue
         area_m2 = min(np.linalg.norm(doubled_areas(corners[k]), axis=1).sum() / 2 for k in (a, b))
         if (bodies[a] ^ bodies[b]).volume() > VAL3DITY.snap_m * area_m2:
-            return True
-    return False
+            return OVERLAP
+        touch[a, b] = bodies[a].min_gap(bodies[b], 2 * VAL3DITY.snap_m) <= VAL3DITY.snap_m
+    return APART if connected_components(touch, directed=False)[0] > 1 else None
 
 
 def _corners(shell: Shell) -> np.ndarray:

@@ -39,6 +39,7 @@ MEANINGS: dict[int, str] = {
     307: "faces of the shell are oriented differently from their neighbours",
     405: "the shell is inside out",
     501: "solids of a composite overlap",
+    503: "solids of a composite are apart",
 }
 
 

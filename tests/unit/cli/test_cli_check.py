@@ -90,10 +90,14 @@ def test_files_without_solids_are_errors(tmp_path: Path, capsys: pytest.CaptureF
     assert cli.main(["check", str(tmp_path / "missing")]) == 2
 
 
-@pytest.mark.parametrize(("east_m", "is_valid"), [(6.0, False), (12.0, True), (11.9, False), (30.0, True)])
+@pytest.mark.parametrize(
+    ("east_m", "breach"),
+    [(6.0, "501 solids of a composite overlap"), (11.9, "501 solids of a composite overlap"), (12.0, "")]
+    + [(east_m, "503 solids of a composite are apart") for east_m in (12.01, 30.0)],
+)
 @pytest.mark.parametrize("kind", ["CompositeSolid", "MultiSolid"])
-def test_solids_of_a_composite_may_touch_but_not_overlap(
-    city: Path, tmp_path: Path, east_m: float, is_valid: bool, kind: str
+def test_solids_of_a_composite_touch_and_do_not_overlap(
+    city: Path, tmp_path: Path, east_m: float, breach: str, kind: str
 ) -> None:
     document: dict[str, Any] = json.loads(city.read_text(encoding="utf-8"))
     scale = document["transform"]["scale"][0]
@@ -110,7 +114,7 @@ def test_solids_of_a_composite_may_touch_but_not_overlap(
     path.write_text(json.dumps(document), encoding="utf-8")
     validity = p2wss.check(path)
     assert validity.num_solids == 2
-    expected = [] if is_valid or kind == "MultiSolid" else [["501 solids of a composite overlap"]]
+    expected = [[breach]] if breach and kind == "CompositeSolid" else []
     assert list(validity.invalid.values()) == expected
 
 
