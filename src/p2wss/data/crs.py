@@ -34,8 +34,8 @@ class MetricCrs:
     """The CRS of a run, and the conversion from the CRS of the clouds into it.
 
     source: of the clouds. crs: the same with metres in place of other units; the zone of UTM of clouds in degrees, or
-    in a projection whose lengths are not those on the ground. horizontal_m, vertical_m: lengths of the source's units;
-    the first is None where coordinates are transformed to UTM.
+    in a projection whose lengths or directions are not those on the ground. horizontal_m, vertical_m: lengths of the
+    source's units; the first is None where coordinates are transformed to UTM.
     """
 
     source: pyproj.CRS
@@ -164,9 +164,9 @@ def metric_crs(
 
     A CRS in feet is replaced by the one of EPSG that is the same in metres, else by a CRS of the same name and
     "(metres)"; heights in feet by heights in metres above the same datum. Heights whose unit is not stated are taken to
-    be in the unit of x and y. Degrees, and a projection in which lengths differ by more than 0.5 % from those on the
-    ground, are replaced by a zone of UTM. bounds: of a cloud, where that is decided. name: of a cloud. vertical_m:
-    length of the unit of heights, whatever ``source`` states.
+    be in the unit of x and y. Degrees, a projection in which lengths differ by more than 0.5 % from those on the
+    ground, and one whose axes point south or west are replaced by a zone of UTM. bounds: of a cloud, where that is
+    decided. name: of a cloud. vertical_m: length of the unit of heights, whatever ``source`` states.
 
     Raises :class:`InputError` for a CRS that is neither projected nor geographic, and for degrees without bounds.
     """
@@ -188,12 +188,9 @@ def metric_crs(
         )
     (horizontal_m,) = factors
     vertical_m = horizontal_m if stated_m is None else stated_m
-    if bounds is not None and (scale := _worst_scale(flat, bounds)) is not None:
+    if bounds is not None and (why := _unlike_the_ground(flat, bounds)):
         crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
-        note = (
-            f"the clouds are in {source.name}, in which a metre on the ground is {scale:.4g} m long here; processing"
-            f" and outputs are in {crs.name}"
-        )
+        note = f"the clouds are in {source.name}, {why}; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, vertical_m), note
     if horizontal_m == 1.0 and vertical_m == 1.0:
         return MetricCrs(source, source), None
@@ -218,6 +215,8 @@ def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     own_m = horizontal(crs).axis_info[0].unit_conversion_factor
     # as in Germany: 32389000 for 389000 in zone 32
     wrong = {"x and y were swapped": (y, x), "x did not begin with a zone": (np.fmod(x, 1e6), y)}
+    # as in South Africa and Bohemia
+    wrong |= {"x and y had the other sign": (-x, -y), "x and y were southings and westings": (-y, -x)}
     for unit, length_m in {"mm": 0.001, "cm": 0.01, "ft": 0.3048, "m": 1.0}.items():
         wrong[f"x and y were in {unit}"] = x * length_m / own_m, y * length_m / own_m
     for text, place in wrong.items():
@@ -310,14 +309,20 @@ def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None
     return (low, high) if np.isfinite([low, high]).all() else None
 
 
-def _worst_scale(crs: pyproj.CRS, bounds: Bounds) -> float | None:
-    """The scale in the middle of bounds that is furthest from 1, if it is too far."""
+def _unlike_the_ground(crs: pyproj.CRS, bounds: Bounds) -> str:
+    """What would be mirrored, turned or of another size in the plane of a projection at bounds, in words; else ""."""
     centre = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
-    if np.abs(bounds).max() < _LOCAL and not is_plausible(crs, centre):
-        return None  # drawn or measured around an origin of its own
+    is_there = is_plausible(crs, centre)
+    if np.abs(bounds).max() < _LOCAL and not is_there:
+        return ""  # drawn or measured around an origin of its own
+    directions = [axis.direction for axis in crs.axis_info]
+    # of a map around a pole, both axes point to one direction
+    if is_there and directions[0] != directions[1] and {"south", "west"} & set(directions):
+        return f"whose axes point {' and '.join(directions)}"
     scales = ground_scales(crs, bounds)
     worst = 1.0 if scales is None else max(scales, key=lambda scale: abs(scale - 1.0))
-    return worst if abs(worst - 1.0) > _MAX_DISTORTION else None
+    is_long = abs(worst - 1.0) > _MAX_DISTORTION
+    return f"in which a metre on the ground is {worst:.4g} m long here" if is_long else ""
 
 
 def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:

@@ -43,6 +43,8 @@ _SAME_UNIT = 1e-5
 _COARSE = 0.1
 # files of one run are hardly farther apart
 _FAR_M = 100_000.0
+# on the ground
+_RADIAN_M = 6.4e6
 # what messages and outputs call data without a file
 _CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
 
@@ -142,14 +144,10 @@ def check_inputs(
     source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
     if footprints is not None and footprints_crs is None:
         log.info("note: %s does not state its CRS; assuming %s as that of the clouds", names[1], source.name)
-    if header.bounds is not None and (doubt := odd_place(source, header.bounds)):
-        log.warning("warning: %s: %s", header.path, doubt)
-    if header.bounds is not None and (place := doubtful_order(source, header.bounds)):
-        log.info("note: %s: %s", header.path, place)
+    _check_places(headers, header, source)
     metric, note_of_units = _metric(source, headers, points, config.reconstruct.height_unit)
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)
-    _check_places(headers, header, metric)
     if not may_be_empty and not any(each.num_points for each in headers):
         raise InputError(f"{headers[0].path}: has no points")
     raster = None
@@ -198,24 +196,36 @@ def _check_heights(headers: Sequence[CloudHeader], unit: str) -> None:
             log.warning("warning: %s; none is converted", words)
 
 
-def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, metric: MetricCrs) -> None:
-    """Warn of files that state no CRS and are far from ``known``, in whose CRS they are taken to be."""
-    place = known.bounds and metric.bounds_of_run(known.bounds)
+def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, crs: pyproj.CRS) -> None:
+    """Warn of coordinates that cannot be right in the CRS of the clouds, which ``known`` states: its own, and those of
+    each file that is far from it. Warn of files that state no CRS and are far."""
+    unit_m = crs.axis_info[0].unit_conversion_factor * (_RADIAN_M if crs.is_geographic else 1.0)
     far = [
-        str(each.path)
+        each
         for each in headers
-        if each.crs is None
-        and each.bounds
-        and place
-        and not are_near(metric.bounds_of_run(each.bounds), place, _FAR_M)
+        if each.bounds and known.bounds and not are_near(each.bounds, known.bounds, _FAR_M / unit_m)
     ]
-    if far:
+    for level, word, doubt_of in (
+        (logging.WARNING, "warning", odd_place),
+        (logging.INFO, "note", doubtful_order),
+    ):
+        doubts: dict[str, list[str]] = {}
+        for each in [known, *far]:
+            if each.bounds and (doubt := doubt_of(crs, each.bounds)):
+                doubts.setdefault(doubt, []).append(str(each.path))
+        for doubt, paths in doubts.items():
+            log.log(level, "%s: %s: %s", word, _first(paths), doubt)
+    if unstated := [str(each.path) for each in far if each.crs is None]:
         log.warning(
             "warning: %s: states no CRS, and would be more than %g km from %s; if it is in another CRS, reproject it",
-            ", ".join(far[:3]) + " .." * (len(far) > 3),
+            _first(unstated),
             _FAR_M / 1000,
             known.path,
         )
+
+
+def _first(paths: Sequence[str]) -> str:
+    return ", ".join(paths[:3]) + " .." * (len(paths) > 3)
 
 
 def read_cloud(

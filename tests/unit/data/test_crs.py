@@ -150,6 +150,31 @@ def test_where_lengths_are_not_those_on_the_ground_work_is_in_utm(
     assert np.hypot(np.diff(points.x_m), np.diff(points.y_m))[0] == pytest.approx(10, rel=0.002)
 
 
+@pytest.mark.parametrize(
+    ("epsg", "place", "axes"),
+    [
+        (5513, (14.42, 50.09), "south and west"),
+        (2048, (18.42, -33.92), "west and south"),
+        (3995, (20.0, 71.0), ""),
+    ],
+)
+def test_axes_that_point_south_or_west_are_not_those_of_the_plane(
+    epsg: int, place: tuple[float, float], axes: str
+) -> None:
+    """A scene in Krovak's southings and westings was mirrored."""
+    crs = pyproj.CRS.from_epsg(epsg)
+    x, y = pyproj.Transformer.from_crs(WGS84, crs, always_xy=True).transform(*place)
+    metric, note = metric_crs(crs, (x, y, x + 50, y + 50), "a.laz")
+    assert (f"whose axes point {axes}" in str(note)) == bool(axes)
+    if axes:
+        others = [(place[0] + 1e-3, place[1]), (place[0], place[1] + 1e-3)]
+        east, north = (
+            pyproj.Transformer.from_crs(WGS84, crs, always_xy=True).transform(*each) for each in others
+        )
+        points = cloud(crs, (x, y, 1), (*east, 1), (*north, 1)).in_metres(metric)
+        assert points.x_m[1] - points.x_m[0] > 60 and points.y_m[2] - points.y_m[0] > 80
+
+
 def test_national_grids_stay_to_their_borders() -> None:
     for code, place in (
         ("2154", (9.2, 41.5)),
@@ -258,6 +283,8 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
         (31467, 3_450_000, 5_530_000, ""),
         (25832, 32_389_000, 5_800_000, "x did not begin with a zone"),
         (2263, 300_000, 60_000, "x and y were in m;"),
+        (2048, -53_000, -3_755_000, "x and y had the other sign"),
+        (5514, 1_043_000, 743_000, "x and y were southings and westings"),
         (32118, 984_250, 196_850, "x and y were in ft"),
         # around an origin of its own, and where no such fault explains it
         (25832, 50, 80, ""),

@@ -377,6 +377,21 @@ def test_a_file_far_from_the_first_that_states_no_crs_is_named(
     assert f"{second}: states no CRS, and would be more than 100 km from {first}" in caplog.text
 
 
+def test_of_several_files_the_place_of_each_is_looked_at(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    first = houses.write_cloud(tmp_path / "1.laz")
+    las = laspy.read(first)
+    x, y = np.array(las.x), np.array(las.y)
+    las.header.offsets = [las.header.offsets[k] for k in (1, 0, 2)]
+    las.x, las.y = y, x
+    for name in ("2.laz", "3.laz"):
+        las.write(tmp_path / name)
+    assert_right(built([first, tmp_path / "2.laz", tmp_path / "3.laz"], houses.footprints()))
+    assert caplog.text.count("would be inside if x and y were swapped") == 1
+    assert f"2.laz, {tmp_path / '3.laz'}: is outside of the area" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("heights", "length_m", "is_other"),
     [(6360, houses.SURVEY_FOOT_M, True), (5773, 1.0, True), (5703, 1.0, False)],
