@@ -86,6 +86,12 @@ ODD: dict[str, Any] = {
 NOT_TRIED = {"fetch": {"config"}, "scan": {"config"}}
 
 
+def with_intensities() -> np.ndarray:
+    points = gable_points()
+    points[:, 3] = np.arange(len(points)) % 200
+    return points
+
+
 @pytest.mark.parametrize(
     "name", ["reconstruct", "outlines", "evaluate", "read", "check", "fetch", "roof", "scan", "write"]
 )
@@ -152,6 +158,7 @@ def test_what_people_have_works() -> None:
         ({"cloud": footprints()}, "the cloud is a GeoDataFrame; .* before the footprints"),
         ({"cloud": np.full((5, 3), np.nan)}, "not finite"),
         ({"cloud": gable_points() * [1, 1, 1, 0.05]}, "classes that are not whole"),
+        ({"cloud": with_intensities()}, "has more than 32 values, as intensities have"),
         (
             {"cloud": pd.DataFrame({"x": [1.0, 2], "Y": ["1", "n/a"], "z": [1, 2]})},
             "the cloud's column Y is not of numbers: could not convert string to float: 'n/a'",

@@ -43,6 +43,8 @@ _SAME_UNIT = 1e-5
 _COARSE = 0.1
 # files of one run are hardly farther apart
 _FAR_M = 100_000.0
+# LAS 1.4 names fewer than 20 classes, and surveys add a few
+_MAX_CLASSES = 32
 # on the ground
 _RADIAN_M = 6.4e6
 # what messages and outputs call data without a file
@@ -374,6 +376,11 @@ def _in_memory(cloud: CloudInput) -> Cloud:
     if not np.isfinite(points).all() or not is_class.all():
         raise InputError(
             "the cloud has coordinates that are not finite, or classes that are not whole, 0 to 255"
+        )
+    if len(np.unique(classes)) > _MAX_CLASSES:
+        raise InputError(
+            f"the fourth column of the cloud has more than {_MAX_CLASSES} values, as intensities have; it counts as LAS"
+            " classes: give points as (n, 3) without them"
         )
     x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
     short = points[:, :2].astype(np.float32)
