@@ -166,7 +166,7 @@ def opening(path: str | Path) -> Iterator[None]:
                 raise
             remedy = (
                 "unpack it"
-                if Path(path).suffix.lower() == ".zip"
+                if Path(path).suffix.lower() in (".zip", ".gz")
                 else "save it as GeoPackage, with QGIS for instance"
             )
             raise InputError(f"{path}: not {_KIND}; {remedy}") from error

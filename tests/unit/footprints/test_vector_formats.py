@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
 import sqlite3
 import warnings
@@ -178,6 +179,9 @@ def test_of_several_files_in_an_archive_one_is_to_be_named(folder: str, tmp_path
     assert read_footprints(path, layer="houses")["building_id"].tolist() == ["houses", "b"]
     with pytest.raises(InputError, match="unpack it"):
         read_footprints(_packed(tmp_path / "nothing.zip", {next(iter(files)): "a.txt"}))
+    (tmp_path / "houses.csv.gz").write_bytes(gzip.compress(b"WKT\nPOINT (0 0)\n"))
+    with pytest.raises(InputError, match="unpack it"):
+        read_footprints(tmp_path / "houses.csv.gz")
 
 
 @pytest.mark.parametrize("num_bytes", [0, 40])
