@@ -213,7 +213,9 @@ def test_a_terrain_above_the_ellipsoid_at_the_sea_is_not_of_another_unit_alone(
     """Its heights by a hundred are as near to ground of 0 to 2 m as centimetres would be."""
     ground_m = np.linspace(0, 2, 9)
     unknown = np.full(9, np.nan)
-    sample = plausibility.Sample(ground_m, unknown, unknown, unknown, ground_m * factor + offset_m, unknown)
+    sample = plausibility.Sample(
+        ground_m, unknown, unknown, unknown, ground_m * factor + offset_m, unknown, unknown
+    )
     with pytest.raises(InputError, match=r"as if they were in cm; .*state --terrain-unit cm") as error:
         plausibility.check_terrain(sample, "dtm.tif")
     assert ("as the ellipsoid is from the sea, or" in str(error.value)) == is_of_ellipsoid
@@ -375,6 +377,19 @@ def test_a_file_far_from_the_first_that_states_no_crs_is_named(
     assert "states no CRS" not in caplog.text
     assert_right(built([first, beside, second], houses.footprints()))
     assert f"{second}: states no CRS, and would be more than 100 km from {first}" in caplog.text
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.5])
+def test_ground_in_two_layers_is_told(
+    shift_m: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As of flights that were not adjusted, or of files in two height systems: roofs were between them."""
+    path = houses.write_cloud(tmp_path / "1.laz", spacing_m=0.4)
+    las = laspy.read(path)
+    las.x, las.z = np.array(las.x) + 0.2, np.array(las.z) + shift_m
+    las.write(tmp_path / "2.laz")
+    built([path, tmp_path / "2.laz"], houses.footprints())
+    assert ("the ground is in two layers, about 0.45 m apart" in caplog.text) == bool(shift_m)
 
 
 def test_of_several_files_the_place_of_each_is_looked_at(

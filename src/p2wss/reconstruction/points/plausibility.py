@@ -9,7 +9,7 @@ import shapely
 
 from p2wss.clouds.crops import crop_cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.points import stride
 from p2wss.data.terrain import UNITS_M, Terrain
 from p2wss.reconstruction.inputs import Inputs
@@ -48,6 +48,8 @@ _HIGH_M, _SLENDER, _LOW_M = (12.0, 40.0), (1.8, 4.0), (2.3, 1.0)
 _FLAT_M = 0.5
 # the unit that is guessed makes the median of houses as near to this, by a factor, as any does
 _UNITS, _USUAL_M = ("m", "ft", "dm", "cm", "mm"), 6.0
+# of the ground of one survey, heights of one place do not differ by so much; places of so many points, and so many
+_LAYERS_M, _MIN_POINTS, _MIN_SQUARES = 0.25, 6, 10
 # so far, at most, is the ellipsoid from the sea
 _MAX_UNDULATION_M = 110.0
 
@@ -58,7 +60,7 @@ class Sample:
 
     ground_z_m: of the points. height_m: the median of the points on the footprint above that. width_m: side of a
     square of its area. stated_height_m: by the footprint. terrain_z_m: of the terrain at its centre. num_points: on the
-    footprint.
+    footprint. layers_m: between heights of the ground around it (:func:`_layers_m`).
     """
 
     ground_z_m: np.ndarray
@@ -67,6 +69,7 @@ class Sample:
     stated_height_m: np.ndarray
     terrain_z_m: np.ndarray
     num_points: np.ndarray
+    layers_m: np.ndarray
 
     @property
     def gap_m(self) -> np.ndarray:
@@ -81,7 +84,7 @@ def sample_of(
     """Up to ``most`` footprints, spread over the rows. features: cleaned. points: around them."""
     rows = np.flatnonzero(~shapely.is_empty(features.geometry))
     rows = rows[:: stride(len(rows), most)] if len(rows) else rows
-    values = np.full((6, len(rows)), np.nan)
+    values = np.full((7, len(rows)), np.nan)
     values[5] = 0
     stated_m = features.columns.get("stated_height_m", np.full(len(features), np.nan))
     shapes = features.geometry[rows]
@@ -92,6 +95,7 @@ def sample_of(
         cloud = points.near(boxes[some], adds_classes=False)
         cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes[some]))
         values[0, some] = cropped.ground_z_m
+        ground_m = np.array([cloud.x_m, cloud.y_m, cloud.z_m])[:, cloud.classification == GROUND_CLASS]
         for i, k in enumerate(some.tolist()):
             own = slice(cropped.offset[i], cropped.offset[i + 1])
             on = cropped.point[own][cropped.inside[own]]
@@ -99,9 +103,29 @@ def sample_of(
             roof_z = cloud.z_m[on[is_roof] if is_roof.any() else on]
             values[1, k] = np.median(roof_z) - values[0, k] if len(roof_z) else np.nan
             values[5, k] = len(on)
+            low, high = boxes[k].reshape(2, 2, 1)
+            values[6, k] = _layers_m(
+                ground_m[:, ((ground_m[:2] >= low) & (ground_m[:2] <= high)).all(axis=0)]
+            )
     if terrain is not None and len(rows):
         values[4] = terrain.interpolated(features["centre_x_m"][rows], features["centre_y_m"][rows])
     return Sample(*values)
+
+
+def _layers_m(ground_m: np.ndarray) -> float:
+    """The largest step between successive heights of a square metre of ground, without its highest and lowest sixth:
+    the median of all with enough points, NaN if there are few. ground_m: points, (3, n).
+
+    Of one survey this is noise, also on slopes; of two that differ in their heights, the difference.
+    """
+    square = np.floor(ground_m[:2])
+    order = np.lexsort((ground_m[2], *square))
+    ends = np.flatnonzero((np.diff(square[:, order]) != 0).any(axis=0)) + 1
+    steps = []
+    for heights in np.split(ground_m[2, order], ends):
+        if len(heights) >= _MIN_POINTS:
+            steps.append(np.diff(heights[len(heights) // 6 : -(len(heights) // 6)]).max())
+    return float(np.median(steps)) if len(steps) >= _MIN_SQUARES else float("nan")
 
 
 def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -> None:
@@ -114,6 +138,14 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
             if not terrain_unit:
                 raise
             log.warning("warning: %s", str(error).split(";")[0])
+    layers_m = sample.layers_m[np.isfinite(sample.layers_m)]
+    if len(layers_m) > 1 and np.median(layers_m) > _LAYERS_M:
+        log.warning(
+            "warning: %s: the ground is in two layers, about %.2f m apart, as where flights or files differ in their"
+            " heights; roofs are as doubtful",
+            inputs.headers[0].path,
+            np.median(layers_m),
+        )
     if 1 / _FEET_RATIO[1] < (times := times_stated(sample)) < 1 / _FEET_RATIO[0]:
         log.warning(
             "warning: footprints state heights that are %.1f times those of points, as if in feet; where a building has"
