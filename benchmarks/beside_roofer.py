@@ -19,6 +19,7 @@ its bars.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import shutil
@@ -180,17 +181,19 @@ def main() -> int:
         print(f"Roofer: {version}; load of the machine before: {os.getloadavg()[0]:.1f}")
     else:
         print("roofer is not on the PATH: nothing to compare with, its columns stay empty")
-    with tempfile.TemporaryDirectory() as name:
+    data = arguments.data.resolve()
+    # Roofer leaves a log where it is started
+    with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
         folder = Path(name)
         run([sys.executable, "-c", DRAW, folder])
         start = [*P2WSS, folder / "cloud.laz", folder / "footprints.gpkg", folder / "start", "--quiet"]
         print(f"{'':<20}" + "".join(f"  {name}" for name in COLUMNS))
         for title in arguments.places:
             place, out = PLACES[title], folder / title
-            if not (arguments.data / place.folder).is_dir():
+            if not (data / place.folder).is_dir():
                 print(f"{title:<20}skipped: no folder {place.folder}")
                 continue
-            row = measure({"start": start} | commands(place, arguments.data, out), arguments, out)
+            row = measure({"start": start} | commands(place, data, out), arguments, out)
             figures.row(title, row)
             print(line(title, row), flush=True)
             check(title, row, figures, has_roofer)
