@@ -15,7 +15,7 @@ import pyproj
 
 from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
-from p2wss.data.tiling import Bounds, are_near
+from p2wss.data.tiling import Bounds, are_near, bounds_of_points
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of, stated_crs
 from p2wss.storage.las_files import KIND, bounds_of, open_cloud
@@ -260,12 +260,10 @@ def extent(headers: Sequence[CloudHeader]) -> Bounds | None:
     for header in headers:
         if header.bounds is not None:
             return header.bounds
-        parts = [part for part in read_in_chunks([header.path]) if len(part)] if header.num_points else []
-        if parts:
-            lows = [(float(part.x_m.min()), float(part.y_m.min())) for part in parts]
-            highs = [(float(part.x_m.max()), float(part.y_m.max())) for part in parts]
-            (x_min, y_min), (x_max, y_max) = np.min(lows, axis=0).tolist(), np.max(highs, axis=0).tolist()
-            return x_min, y_min, x_max, y_max
+        parts = read_in_chunks([header.path]) if header.num_points else []
+        boxes = np.array([bounds_of_points(part.x_m, part.y_m) for part in parts if len(part)])
+        if len(boxes):
+            return bounds_of_points(boxes[:, ::2].ravel(), boxes[:, 1::2].ravel())
     return None
 
 

@@ -68,8 +68,4 @@ def crop_real(
 
 def _window(polygons: Polygons, tile_bounds: tiling.Bounds) -> tiling.Bounds:
     """Bounds of the points to read: the polygons (the tile if there are none) and the ground around them."""
-    if not len(polygons.xy_m):
-        return tiling.grown(tile_bounds, GROUND_REACH_M)
-    low, high = polygons.xy_m.min(axis=0), polygons.xy_m.max(axis=0)
-    bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    return tiling.grown(bounds, GROUND_REACH_M)
+    return tiling.grown(tiling.bounds_of_points(*polygons.xy_m.T) or tile_bounds, GROUND_REACH_M)

@@ -61,6 +61,11 @@ def grown(bounds: Bounds, margin_m: float) -> Bounds:
     return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
 
+def bounds_of_points(x: np.ndarray, y: np.ndarray) -> Bounds | None:
+    """Bounds of places, x and y (n,); None without any."""
+    return (float(x.min()), float(y.min()), float(x.max()), float(y.max())) if len(x) else None
+
+
 def bounds_text(bounds: Bounds) -> str:
     """``bounds`` in a message, in whole metres.
 

@@ -33,7 +33,7 @@ from p2wss.mesh.topology import doubled_areas
 from p2wss.reconstruction.inputs import CloudInput, FootprintInput, as_footprints, read_cloud_of
 from p2wss.reconstruction.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.errors import InputError
 
 # points up to this distance from the footprint are of the building
 BUFFER_M = 1.0
@@ -122,9 +122,7 @@ def _solids(
 ) -> tuple[Sequence[ReadSolid], pyproj.CRS | None]:
     """(the solids of buildings, their CRS if it is stated)."""
     if isinstance(buildings, str | Path):
-        objects, stated = cityjson_read.read_city(buildings)
-        with reading(buildings, "CityJSON"):
-            crs = None if stated is None else pyproj.CRS.from_user_input(stated)
+        objects, crs = cityjson_read.read_city(buildings)
         return [each for each in objects if each.is_building], crs
     if isinstance(buildings, Scene):
         solids = [

@@ -10,6 +10,7 @@ from typing import Any
 
 import mapbox_earcut
 import numpy as np
+import pyproj
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
@@ -45,9 +46,9 @@ def read(path: str | Path) -> list[ReadSolid]:
     return [solid for solid in read_city(path)[0] if solid.is_building]
 
 
-def read_city(path: str | Path) -> tuple[list[ReadSolid], str | None]:
+def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
     """(every building and plant of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2,
-    parts joined; the URL of the CRS that the file states, if any).
+    parts joined; the CRS that the file states, if any).
 
     Raises :class:`InputError` if the file is missing or not CityJSON.
     """
@@ -56,7 +57,8 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], str | None]:
     with reading(path, "CityJSON"):
         for document in documents:
             solids += _buildings(*_content(document, documents[0], scale, translate))
-        return solids, documents[0].get("metadata", {}).get("referenceSystem")
+        stated = documents[0].get("metadata", {}).get("referenceSystem")
+        return solids, None if stated is None else pyproj.CRS.from_user_input(stated)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from p2wss.data.crs import MetricCrs, check_crs, common_crs, doubtful_order, met
 from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet, class_set
 from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
-from p2wss.data.tiling import Bounds, are_near
+from p2wss.data.tiling import Bounds, are_near, bounds_of_points
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
@@ -339,10 +339,7 @@ def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]
             log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
         return headers, None
     points = _in_memory(cloud)
-    bounds = None
-    if len(points):
-        x_m, y_m = points.x_m, points.y_m
-        bounds = (float(x_m.min()), float(y_m.min()), float(x_m.max()), float(y_m.max()))
+    bounds = bounds_of_points(points.x_m, points.y_m)
     return [CloudHeader(_CLOUD, len(points), points.crs, bounds)], points
 
 

@@ -26,7 +26,7 @@ from p2wss.config import CLASSES_ALONE, Config, DeviceName, load, section_json
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import class_set
-from p2wss.data.tiling import Bounds, grown
+from p2wss.data.tiling import Bounds, bounds_of_points, grown
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import Body, frame_around
@@ -58,7 +58,7 @@ from p2wss.reconstruction.skin import block_skins
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
 from p2wss.storage.arguments import checked, public
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 from p2wss.storage.progress import Progress
@@ -588,15 +588,12 @@ def _reconstruct(
 def read(path: str | Path) -> Scene:
     """See :func:`p2wss.read`."""
     path = Path(path)
-    objects, stated = cityjson_read.read_city(path)
+    objects, crs = cityjson_read.read_city(path)
     solids = [each for each in objects if each.is_building]
     plants = [each.mesh for each in objects if not each.is_building]
-    with reading(path, "CityJSON"):
-        crs = None if stated is None else pyproj.CRS.from_user_input(stated)
-    config = Config()
     name = path.name.split(".")[0]
     ids = [each.building_id for each in solids]
-    return Scene(ids, lambda k: _of_file(solids[k]), crs, config, name, plants=plants)
+    return Scene(ids, lambda k: _of_file(solids[k]), crs, Config(), name, plants=plants)
 
 
 def _of_buildings(
@@ -613,10 +610,7 @@ def _of_buildings(
 def bounds_of(meshes: Sequence[Mesh]) -> Bounds | None:
     """x_min, y_min, x_max and y_max of meshes; None without a vertex."""
     xy = np.concatenate([np.zeros((0, 2)), *(mesh.vertex_m[:, :2] for mesh in meshes)])
-    if not len(xy):
-        return None
-    (x_min, y_min), (x_max, y_max) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
-    return x_min, y_min, x_max, y_max
+    return bounds_of_points(*xy.T)
 
 
 def load_network(weights: Path | None, device: DeviceName = "auto", threads: int = 1) -> Predictor | None:

@@ -16,8 +16,6 @@ from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import write_footprints, write_terrain
 from p2wss.towns.plan import draw_town
 
-__all__ = ["draw_town", "write_footprints", "write_terrain", "write_town"]
-
 FOOTPRINTS = "bdtopo/BDTOPO_mini.gpkg"
 TERRAIN = "rgealti"
 

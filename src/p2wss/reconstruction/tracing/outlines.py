@@ -98,16 +98,15 @@ def outlines_and_crowns(
     traces = _block_traces(raster, settings)
     if not traces:
         raise InputError(f"no outlines: no building has at least {settings.min_area_m2:g} m2")
-    polygons = np.array([trace.polygon for trace in traces], dtype=object)
-    arrays = polygon_arrays.to_polygons(polygons)
+    arrays = polygon_arrays.to_polygons(np.array([trace for trace, _ in traces], dtype=object))
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
     result: list[shapely.Polygon] = []
     is_free = has_class(cloud.classification, (GROUND_CLASS, WATER_CLASS))
-    for index, trace in enumerate(traces):
+    for index, (trace, window) in enumerate(traces):
         near = np.sort(point[offset[index] : offset[index + 1]])
         xy_m = np.column_stack([cloud.x_m[near], cloud.y_m[near]])
         points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
-        result += _of_block(trace, points, raster, settings)
+        result += _of_block(trace, window, points, settings)
     shapes = np.array(result, dtype=object)
     is_crown = np.zeros(len(shapes), bool)
     if not is_classified:
@@ -255,18 +254,9 @@ def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells:
     return target[label].astype(np.int32)
 
 
-@dataclass(frozen=True)
-class _Trace:
-    """The edge of a block, and the part of the raster around it."""
-
-    polygon: shapely.Polygon
-    label: np.ndarray
-    origin_m: tuple[float, float]
-
-
-def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
-    """The blocks, in the order of their numbers, with edges along cells of a third of the size: the raster is smoothed
-    first, so that the steps of the raster in edges across it are small."""
+def _block_traces(raster: Raster, settings: Outlines) -> list[tuple[shapely.Polygon, Raster]]:
+    """(edge, the part of the raster around it) of the blocks, in the order of their numbers. Edges are along cells of a
+    third of the size: the raster is smoothed first, so that the steps of the raster in edges across it are small."""
     result = []
     fine_m = raster.cell_m / _FINER
     for number, window in enumerate(scipy.ndimage.find_objects(raster.block), start=1):
@@ -279,11 +269,9 @@ def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
         )
         smooth = scipy.ndimage.gaussian_filter(is_block.astype(float), _SMOOTH_CELLS)
         fine = scipy.ndimage.zoom(smooth, _FINER, order=1, mode="grid-constant", grid_mode=True) >= 0.5
-        traces = _traces(
-            fine.astype(np.int32), Raster(label, label, origin_m, fine_m, 0.0), settings.min_hole_m2
-        )
-        largest = max(traces, key=lambda trace: trace[1].area)[1]
-        result.append(_Trace(largest, label, origin_m))
+        part = Raster(label, label, origin_m, raster.cell_m, raster.density)
+        traces = _traces(fine.astype(np.int32), replace(part, cell_m=fine_m), settings.min_hole_m2)
+        result.append((max(traces, key=lambda trace: trace[1].area)[1], part))
     return result
 
 
@@ -298,14 +286,15 @@ def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple
     return sorted(result, key=lambda item: (item[0], -item[1].area))
 
 
-def _of_block(trace: _Trace, points: EdgePoints, raster: Raster, settings: Outlines) -> list[shapely.Polygon]:
-    """The outlines of the buildings of a block."""
-    label, cell_m = trace.label, raster.cell_m
-    main_deg = directions(trace.polygon, points.roof_m, cell_m)
-    outline = regularised(trace.polygon, main_deg, points, settings, cell_m)
+def _of_block(
+    trace: shapely.Polygon, window: Raster, points: EdgePoints, settings: Outlines
+) -> list[shapely.Polygon]:
+    """The outlines of the buildings of a block. window: the part of the raster around it."""
+    label, cell_m = window.building, window.cell_m
+    main_deg = directions(trace, points.roof_m, cell_m)
+    outline = regularised(trace, main_deg, points, settings, cell_m)
     if len(np.unique(label[label > 0])) < 2:
         return [outline]
-    window = Raster(label, label, trace.origin_m, cell_m, raster.density)
     parts = _traces(np.ascontiguousarray(label), window, 0)
     seams = seam_lines([part for _, part in parts], outline, main_deg, settings, cell_m)
     lines = shapely.union_all([outline.boundary, *seams], grid_size=_GRID_M)
