@@ -13,6 +13,7 @@ from toy_clouds import LAMBERT
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
+from p2wss.data import polygon_arrays
 from p2wss.reconstruction.outputs.attributes import input_footprints
 from p2wss.reconstruction.outputs.attributes import table as reconstruct_table
 from p2wss.reconstruction.pipeline import run
@@ -199,6 +200,27 @@ def test_blocks_are_footprints_that_touch() -> None:
 def test_footprints_that_overlap_share_no_wall(overlap_m: float, num_blocks: int) -> None:
     pair = np.array([shapely.box(0, 0, 8, 6), shapely.box(8 - overlap_m, 0, 16, 6)], dtype=object)
     assert len(set(find_blocks(pair).of_footprint)) == num_blocks
+
+
+def test_a_block_of_which_geos_would_leave_nothing() -> None:
+    """Two buildings of which eroding the common outline by 12 mm gave nothing: the search of their shift failed."""
+    corner = [
+        [8.46, -3.552],
+        [4.49, 5.928],
+        [-0.108, 4.002],
+        [-1.836, 0.645],
+        [2.969, -10.827],
+        [5.195, -9.895],
+    ]
+    beside = [[4.49, 5.928], [8.46, -3.552], [10.858, 1.106], [9.867, 3.472]]
+    pair = np.array(
+        [affinity.translate(shapely.Polygon(each), 292_824, 6_832_718) for each in (corner, beside)]
+    )
+    blocks = find_blocks(pair)
+    assert len(blocks) == 1 and len(blocks.edge)
+    assert polygon_arrays.to_geometries(blocks.outline)[0].area == pytest.approx(
+        shapely.area(pair).sum(), rel=0.01
+    )
 
 
 def decided(*estimates: tuple[float, float, float], is_own: bool = False) -> Shifts:

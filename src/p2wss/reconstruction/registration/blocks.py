@@ -15,6 +15,8 @@ from p2wss.skeleton.types import Polygons
 WALL_GAP_M = 0.01
 # footprints that overlap deeper than this are no neighbours but two that lie wrong
 _MAX_OVERLAP_M = 0.01
+# of the area of its footprints, a block has at least so much
+_KEPT_SHARE = 0.97
 # corners of outlines that change nothing
 _SIMPLIFY_M = 0.1
 # an edge becomes as many pieces of equal length as are at least so long
@@ -83,7 +85,9 @@ def _outline(shapes: np.ndarray) -> np.ndarray:
         closed = shapely.union_all(
             shapely.buffer(shapes, 1.2 * WALL_GAP_M, join_style="mitre", mitre_limit=2.0)
         )
-        shape = shapely.buffer(closed, -1.2 * WALL_GAP_M, join_style="mitre", mitre_limit=2.0)
+        inner = shapely.buffer(closed, -1.2 * WALL_GAP_M, join_style="mitre", mitre_limit=2.0)
+        # of one in a few hundred shapes with short edges, GEOS leaves a part or nothing
+        shape = inner if inner.area > _KEPT_SHARE * shapely.area(shapes).sum() else closed
     else:
         shape = shapes[0]
     parts = shapely.get_parts(shapely.simplify(shape, _SIMPLIFY_M))
