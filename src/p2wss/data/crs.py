@@ -13,7 +13,15 @@ import shapely
 
 from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError
-from p2wss.storage.las_crs import UNKNOWN, in_degrees, is_plausible, meridian_deg, unit_m, vertical_part
+from p2wss.storage.las_crs import (
+    UNKNOWN,
+    epsg_of,
+    in_degrees,
+    is_plausible,
+    meridian_deg,
+    unit_m,
+    vertical_part,
+)
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -254,12 +262,6 @@ def parsed_crs(stated: str, where: str) -> pyproj.CRS:
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
     """The horizontal part of a compound or 3D CRS."""
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
-
-
-@lru_cache(maxsize=256)
-def epsg_of(wkt: str, min_confidence: int) -> int | None:
-    """The code of a CRS, for which PROJ searches its database for a tenth of a second or so."""
-    return pyproj.CRS.from_wkt(wkt).to_epsg(min_confidence=min_confidence)
 
 
 def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import laspy
 import numpy as np
@@ -256,11 +256,19 @@ def placed(crs: pyproj.CRS | None) -> pyproj.CRS | None:
     return crs if crs is not None and (crs.is_projected or crs.is_geographic) else None
 
 
+@lru_cache(maxsize=256)
+def epsg_of(wkt: str, min_confidence: int) -> int | None:
+    """The code of a CRS, for which PROJ searches its database for a tenth of a second or so."""
+    return pyproj.CRS.from_wkt(wkt).to_epsg(min_confidence=min_confidence)
+
+
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:
     """Whether a place, x and y, is in the area of use of a CRS, or near it."""
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
     x, y = in_degrees(flat, *centre)
     area = flat.area_of_use
+    if area is None and (code := epsg_of(flat.to_wkt(), 70)) is not None:
+        area = pyproj.CRS.from_epsg(code).area_of_use  # WKT 1, which most files have, states none
     west, south, east, north = (-180, -90, 180, 90) if area is None else area.bounds
     is_within = west - _MARGIN_DEG <= x <= east + _MARGIN_DEG or (west > east and (x >= west or x <= east))
     return bool(np.isfinite([x, y]).all() and is_within and south - _MARGIN_DEG <= y <= north + _MARGIN_DEG)

@@ -293,8 +293,12 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
     ],
 )
 def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y: float, words: str) -> None:
-    doubt = odd_place(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
-    assert words in doubt and bool(doubt) == bool(words)
+    crs = pyproj.CRS.from_epsg(epsg)
+    # WKT 1 has no area of use
+    for doubt in (
+        odd_place(each, (x, y, x, y)) for each in (crs, pyproj.CRS.from_wkt(crs.to_wkt("WKT1_GDAL")))
+    ):
+        assert words in doubt and bool(doubt) == bool(words)
 
 
 @pytest.mark.parametrize(
@@ -305,6 +309,7 @@ def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y
         (4326, 52.01, 4.36, "is at latitude 4.36, longitude 52.01; if"),
         # swapped, they would be elsewhere; and eastings are first
         (31467, 3_450_000, 5_530_000, ""),
+        (3007, 147_720, 6_398_557, ""),
         (28992, 85_000, 447_000, ""),
         (3857, 485_000, 6_800_000, ""),
     ],
