@@ -19,12 +19,43 @@ from p2wss.storage.features import Features
 from p2wss.storage.las_crs import vertical_part
 from p2wss.storage.log_lines import log
 
-# footprints of a sample, and metres around each in which its points are read
-_NUM_SAMPLED, _AROUND_M = 32, 6.0
-# points, at most, that are read together
-_TOGETHER = 500_000
-# a terrain further from the ground of the points than this is of other units or of another height system
-_MAX_GAP_M = 10.0
+
+@dataclass(frozen=True)
+class Rules:
+    """What a sample of footprints is, and what it tells; set by hand.
+
+    num_sampled, around_m: footprints, and the distance around each in which its points are read, at most ``together``
+    of them. max_gap_m: a terrain further from the ground of the points is of other units or of another height system.
+    left_share, left_m: what is left of such a gap by one of the factors, at most: a share of the heights, or
+    metres. feet_ratio: heights of points by stated ones, if the former are in feet; a stated height is of the eave or
+    of the ridge. same_ratio: of most houses, this ratio is the same but for so much. high_m, slender, low_m: medians of
+    houses that are higher, and so many times as high as they are wide, and those that are lower, tell that heights are
+    in another unit: where the user does not state it, and where they do. flat_m: a lower median, by heights in metres,
+    tells that these are no heights, or of the ground alone. usual_m: the unit that is guessed makes the median as near
+    to this, by a factor, as any does. layers_m: heights of the ground of one survey at one place do not differ by so
+    much; min_points, min_squares: of a place, and such places. max_undulation_m: from the ellipsoid to the sea.
+    """
+
+    num_sampled: int = 32
+    around_m: float = 6.0
+    together: int = 500_000
+    max_gap_m: float = 10.0
+    left_share: float = 0.02
+    left_m: float = 2.0
+    feet_ratio: tuple[float, float] = (2.4, 4.4)
+    same_ratio: float = 0.3
+    high_m: tuple[float, float] = (12.0, 40.0)
+    slender: tuple[float, float] = (1.8, 4.0)
+    low_m: tuple[float, float] = (2.3, 1.0)
+    flat_m: float = 0.5
+    usual_m: float = 6.0
+    layers_m: float = 0.25
+    min_points: int = 6
+    min_squares: int = 10
+    max_undulation_m: float = 110.0
+
+
+RULES = Rules()
 # factors by which heights of a terrain may be wrong, with the unit that they then have
 _FACTORS = {
     0.3048: "ft",
@@ -35,23 +66,7 @@ _FACTORS = {
     10.0: "",
     100.0: "",
 }
-# what is left of a gap that a factor explains, at most: a share of the heights, or metres
-_LEFT_SHARE, _LEFT_M = 0.02, 2.0
-# heights of points by stated ones, if the former are in feet: a stated height is of the eave or of the ridge
-_FEET_RATIO = (2.4, 4.4)
-# of most houses, this ratio is the same but for so much
-_SAME_RATIO = 0.3
-# medians of houses that are higher, and so many times as high as they are wide, and those that are lower, tell that
-# heights are in another unit: where the user does not state it, and where they do
-_HIGH_M, _SLENDER, _LOW_M = (12.0, 40.0), (1.8, 4.0), (2.3, 1.0)
-# a median of houses that is lower, by heights in metres, tells that these are no heights, or of the ground alone
-_FLAT_M = 0.5
-# the unit that is guessed makes the median of houses as near to this, by a factor, as any does
-_UNITS, _USUAL_M = ("m", "ft", "dm", "cm", "mm"), 6.0
-# of the ground of one survey, heights of one place do not differ by so much; places of so many points, and so many
-_LAYERS_M, _MIN_POINTS, _MIN_SQUARES = 0.25, 6, 10
-# so far, at most, is the ellipsoid from the sea
-_MAX_UNDULATION_M = 110.0
+_UNITS = ("m", "ft", "dm", "cm", "mm")
 
 
 @dataclass(frozen=True)
@@ -79,7 +94,7 @@ class Sample:
 
 
 def sample_of(
-    features: Features, points: CloudIndex, terrain: Terrain | None, most: int = _NUM_SAMPLED
+    features: Features, points: CloudIndex, terrain: Terrain | None, most: int = RULES.num_sampled
 ) -> Sample:
     """Up to ``most`` footprints, spread over the rows. features: cleaned. points: around them."""
     rows = np.flatnonzero(~shapely.is_empty(features.geometry))
@@ -88,10 +103,10 @@ def sample_of(
     values[5] = 0
     stated_m = features.columns.get("stated_height_m", np.full(len(features), np.nan))
     shapes = features.geometry[rows]
-    boxes = shapely.bounds(shapes) + _AROUND_M * np.array([-1, -1, 1, 1])
+    boxes = shapely.bounds(shapes) + RULES.around_m * np.array([-1, -1, 1, 1])
     values[2], values[3] = np.sqrt(shapely.area(shapes)), stated_m[rows]
     every = np.arange(len(rows))
-    for some in [every] if points.count(boxes) <= _TOGETHER else every[:, None]:
+    for some in [every] if points.count(boxes) <= RULES.together else every[:, None]:
         cloud = points.near(boxes[some], adds_classes=False)
         cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes[some]))
         values[0, some] = cropped.ground_z_m
@@ -123,9 +138,9 @@ def _layers_m(ground_m: np.ndarray) -> float:
     ends = np.flatnonzero((np.diff(square[:, order]) != 0).any(axis=0)) + 1
     steps = []
     for heights in np.split(ground_m[2, order], ends):
-        if len(heights) >= _MIN_POINTS:
+        if len(heights) >= RULES.min_points:
             steps.append(np.diff(heights[len(heights) // 6 : -(len(heights) // 6)]).max())
-    return float(np.median(steps)) if len(steps) >= _MIN_SQUARES else float("nan")
+    return float(np.median(steps)) if len(steps) >= RULES.min_squares else float("nan")
 
 
 def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -> None:
@@ -139,14 +154,14 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
                 raise
             log.warning("warning: %s", str(error).split(";")[0])
     layers_m = sample.layers_m[np.isfinite(sample.layers_m)]
-    if len(layers_m) > 1 and np.median(layers_m) > _LAYERS_M:
+    if len(layers_m) > 1 and np.median(layers_m) > RULES.layers_m:
         log.warning(
             "warning: %s: the ground is in two layers, about %.2f m apart, as where flights or files differ in their"
             " heights; roofs are as doubtful",
             inputs.headers[0].path,
             np.median(layers_m),
         )
-    if 1 / _FEET_RATIO[1] < (times := times_stated(sample)) < 1 / _FEET_RATIO[0]:
+    if 1 / RULES.feet_ratio[1] < (times := times_stated(sample)) < 1 / RULES.feet_ratio[0]:
         log.warning(
             "warning: footprints state heights that are %.1f times those of points, as if in feet; where a building has"
             " no points, they count as metres",
@@ -163,19 +178,19 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
 def check_terrain(sample: Sample, name: str) -> None:
     """Raise :class:`InputError` for a terrain that is far from the ground of the points."""
     gap_m = sample.gap_m
-    if not len(gap_m) or abs(np.median(gap_m)) <= _MAX_GAP_M:
+    if not len(gap_m) or abs(np.median(gap_m)) <= RULES.max_gap_m:
         return
     known = np.isfinite(sample.terrain_z_m) & np.isfinite(sample.ground_z_m)
     ground_m, terrain_m = sample.ground_z_m[known], sample.terrain_z_m[known]
     where = f"{name}: its heights are {np.median(gap_m):+.1f} m from the ground of the points"
     for factor, unit in _FACTORS.items():
         left_m = np.abs(terrain_m * factor - ground_m)
-        if np.median(left_m) <= max(_LEFT_M, _LEFT_SHARE * np.median(np.abs(ground_m))):
+        if np.median(left_m) <= max(RULES.left_m, RULES.left_share * np.median(np.abs(ground_m))):
             guess = f"as if they were in {unit}" if unit else f"as if they had to be multiplied by {factor:g}"
             remedy = f"state --terrain-unit {unit}" if unit else "correct it"
             other = "" if unit == "m" else ", or --terrain-unit m to take it as it is"
-            is_even = np.median(np.abs(gap_m - np.median(gap_m))) < _LEFT_M / 2
-            if is_even and abs(np.median(gap_m)) < _MAX_UNDULATION_M:
+            is_even = np.median(np.abs(gap_m - np.median(gap_m))) < RULES.left_m / 2
+            if is_even and abs(np.median(gap_m)) < RULES.max_undulation_m:
                 guess = f"as the ellipsoid is from the sea, or {guess}"
                 remedy = f"convert it to the height system of the points, or {remedy}"
             raise InputError(f"{where}, {guess}; {remedy}{other}")
@@ -189,7 +204,7 @@ def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
     ""."""
     is_feet = abs(vertical_m - 0.3048) < 1e-3
     times = times_stated(sample)
-    low, high = (1 / _FEET_RATIO[1], 1 / _FEET_RATIO[0]) if is_feet else _FEET_RATIO
+    low, high = (1 / RULES.feet_ratio[1], 1 / RULES.feet_ratio[0]) if is_feet else RULES.feet_ratio
     unit, other = ("m", "ft") if is_feet else ("ft", "m")
     if not low < times < high:
         return ""
@@ -203,7 +218,7 @@ def times_stated(sample: Sample) -> float:
     """How many times as high as their footprints state most of several roofs are; NaN if that is not known."""
     ratio = sample.height_m / sample.stated_height_m
     ratio = ratio[np.isfinite(ratio) & (sample.stated_height_m > 2.0) & (sample.height_m > 1.0)]
-    if len(ratio) < 2 or (abs(ratio / np.median(ratio) - 1) < _SAME_RATIO).mean() <= 0.7:
+    if len(ratio) < 2 or (abs(ratio / np.median(ratio) - 1) < RULES.same_ratio).mean() <= 0.7:
         return float("nan")
     return float(np.median(ratio))
 
@@ -217,18 +232,18 @@ def odd_houses(sample: Sample, vertical_m: float, stated: str) -> str:
     height_m = float(np.median(sample.height_m[is_known]))
     slender = float(np.median(sample.height_m[is_known] / sample.width_m[is_known]))
     k = int(bool(stated))
-    if vertical_m > 0.99 and height_m < _FLAT_M:
+    if vertical_m > 0.99 and height_m < RULES.flat_m:
         return (
             f"houses are {height_m:.2f} m high; are z of the points heights, and are there points of roofs?"
         )
-    if vertical_m > 0.99 and height_m > _HIGH_M[k] and slender > _SLENDER[k]:
+    if vertical_m > 0.99 and height_m > RULES.high_m[k] and slender > RULES.slender[k]:
         text = f"houses are {slender:.1f} times as high as wide"
-    elif vertical_m < 0.99 and height_m < _LOW_M[k]:
+    elif vertical_m < 0.99 and height_m < RULES.low_m[k]:
         text = f"houses are {height_m:.2f} m high"
     else:
         return ""
     in_units = max(height_m, 1e-3) / vertical_m
-    unit = min(_UNITS, key=lambda each: abs(np.log(in_units * UNITS_M[each] / _USUAL_M)))
+    unit = min(_UNITS, key=lambda each: abs(np.log(in_units * UNITS_M[each] / RULES.usual_m)))
     own = min(_UNITS, key=lambda each: abs(UNITS_M[each] - vertical_m))
     remedy = f" instead of {stated}" if stated else f", or --height-unit {own} if they are right"
     return f"{text}, as if heights were in {unit}; state --height-unit {unit}{remedy}"
