@@ -140,7 +140,7 @@ BY_BUILDINGS: dict[str, Callable[..., bool]] = {
     "reconstruction.product.with_supposed_roofs": of_buildings,
     "fit.fitting.fit": lambda buildings, *more: of_buildings(buildings),
     "fit.fitting.prepare": lambda task: task.building.building_id == "victim",
-    "reconstruction.valid._as_valid_solid": lambda row: row.building_id == "victim" and row.status == "ok",
+    "reconstruction.product._as_valid_solid": lambda row: row.building_id == "victim" and row.status == "ok",
     "reconstruction.result.measure": lambda mesh: is_there(mesh.vertex_m[:, 0]),
     "reconstruction.pipeline.result_of": lambda row, *more: row.building.building_id == "victim",
     "reconstruction.pipeline.attributes": lambda result: result.reconstruction.building_id == "victim",
