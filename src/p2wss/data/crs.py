@@ -227,14 +227,16 @@ def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     wrong |= {"x and y had the other sign": (-x, -y), "x and y were southings and westings": (-y, -x)}
     for unit, length_m in {"mm": 0.001, "cm": 0.01, "ft": 0.3048, "m": 1.0}.items():
         wrong[f"x and y were in {unit}"] = x * length_m / own_m, y * length_m / own_m
-    for text, place in wrong.items():
-        # the origin is inside of some areas
-        if np.abs(place).max() > _LOCAL and is_plausible(crs, place):
-            return (
-                f"is outside of the area of {crs.name}, and would be inside if {text}; correct its coordinates, or"
-                " state its CRS with --crs"
-            )
-    return ""
+    # the origin is inside of some areas
+    fitting = [
+        text for text, place in wrong.items() if np.abs(place).max() > _LOCAL and is_plausible(crs, place)
+    ]
+    if not fitting:
+        return ""
+    return (
+        f"is outside of the area of {crs.name}, and would be inside if {' or '.join(fitting)}; correct its coordinates,"
+        " or state its CRS with --crs"
+    )
 
 
 def doubtful_order(crs: pyproj.CRS, bounds: Bounds) -> str:

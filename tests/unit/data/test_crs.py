@@ -286,6 +286,8 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
         (2048, -53_000, -3_755_000, "x and y had the other sign"),
         (5514, 1_043_000, 743_000, "x and y were southings and westings"),
         (32118, 984_250, 196_850, "x and y were in ft"),
+        # of several faults, any may be
+        (2991, 635_620, 848_900, "x and y were swapped or x and y were in ft"),
         # around an origin of its own, and where no such fault explains it
         (25832, 50, 80, ""),
         (2180, -501_000, 562_000, ""),
