@@ -53,11 +53,13 @@ OTHER_POINTS = "recorded-of-other-points"
 NO_BUILDING = "no-building"
 PARTLY_DEMOLISHED = "partly-demolished"
 EXTENDED = "extended"
+BEYOND_POINTS = "beyond-points"
 
 FLAGS: dict[str, str] = {
     NO_BUILDING: "the area inside the footprint is ground",
     PARTLY_DEMOLISHED: "a contiguous area inside the footprint is ground: a demolished part, or a courtyard",
     EXTENDED: "a contiguous area beside the footprint and outside all footprints is roof: an extension, or a neighbour",
+    BEYOND_POINTS: "a part of the footprint is far from all points, as beyond the border of a cloud: a guess",
 }
 
 MEANINGS: dict[str, str] = {

@@ -22,6 +22,7 @@ from p2wss.reconstruction.registration.blocks import find_blocks
 from p2wss.reconstruction.registration.register import (
     EDGES,
     NOTHING,
+    OWN_CLASSES,
     Registration,
     Shifts,
     block_shifts,
@@ -412,3 +413,18 @@ def test_nothing_to_register() -> None:
     assert [(row.shift_m, row.shift_sd_m, row.flags) for row in rows] == [((0.0, 0.0), None, ())] * 3
     assert registration.Surroundings(hollow.geometry.to_numpy()).around(np.ones(3, bool)).all()
     assert registration.Surroundings(frame.geometry.to_numpy()[:0]).around(np.zeros(0, bool)).tolist() == []
+
+
+@pytest.mark.parametrize("registers", [None, OWN_CLASSES])
+def test_footprints_that_the_border_of_the_cloud_cuts_are_flagged(registers: int | None) -> None:
+    """The second house has its last 3 m beyond all cells beside those with points; the third has no point."""
+    long = shapely.box(7, 0, 19, 9)
+    cloud = cloud_of(shapely.union_all([BLOCK[0], long]))
+    is_seen = cloud.x_m < ORIGIN[0] + 12
+    points = (each[is_seen] for each in (cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification))
+    seen = Cloud(*points, LAMBERT)
+    each = None if registers is None else np.full(3, registers)
+    _, rows = register(Features.of(frame_of([BLOCK[0], long, shapely.box(22, 0, 30, 9)])), seen, each)
+    assert [row.flags for row in rows] == [(), ("beyond-points",), ()]
+    _, rows = register(Features.of(frame_of([BLOCK[0], long])), cloud)
+    assert [row.flags for row in rows] == [(), ()]

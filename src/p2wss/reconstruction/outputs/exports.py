@@ -280,7 +280,8 @@ def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[st
 
 def counts(results: Sequence[Result]) -> dict[str, Any]:
     """Numbers of buildings by status, reason and method, and the ids of those to be looked at, the worst first: without
-    a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict."""
+    a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict or
+    do not cover."""
     status, reasons, methods, doubts = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     not_representable = without_points = triangles = 0
     to_check: list[tuple[float, str]] = []

@@ -1,4 +1,4 @@
-"""Footprints that the cloud contradicts: without a building, partly demolished, or with roofs beyond them.
+"""Footprints that the cloud contradicts: without a building, partly demolished, with roofs or without points beyond.
 
 The evidence is counted in cells of 1 m. A cell is ground if it has ground points and none of class building, and roof
 if it has at least as many points of class building as of ground. Only compact areas count: those that squares of three
@@ -25,7 +25,9 @@ class Rules:
 
     beyond_m, contact_m: how far beyond a footprint roofs are counted, and how near the nearest must be. min_cells:
     least cells with evidence of a square of nine, and of a footprint. min_area_m2: of ground inside or roofs outside
-    that is flagged. min_ground_share, max_roof_share: of the cells with points, where there is no building.
+    that is flagged, or inside with no point in the cells of half of ``beyond_m`` around; of these, as large a share of
+    the footprint as ``min_far_share``. min_ground_share, max_roof_share: of the cells with points, where there is no
+    building.
     """
 
     beyond_m: float = 6.0
@@ -34,6 +36,7 @@ class Rules:
     min_area_m2: float = 10.0
     min_ground_share: float = 0.7
     max_roof_share: float = 0.1
+    min_far_share: float = 0.1
 
 
 RULES = Rules()
@@ -77,13 +80,37 @@ def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
         & (ground_share >= RULES.min_ground_share)
         & (roof_share <= RULES.max_roof_share)
     )
+    shapes = polygon_arrays.to_geometries(polygons)
+    far_m2 = _far_m2(shapes, cells)
+    is_cut = far_m2 >= np.maximum(RULES.min_area_m2, RULES.min_far_share * shapely.area(shapes))
     rules = (
         (reasons.NO_BUILDING, is_empty),
         (reasons.PARTLY_DEMOLISHED, ~is_empty & (ground_inside_m2 >= RULES.min_area_m2)),
         (reasons.EXTENDED, ~is_empty & (roof_outside_m2 >= RULES.min_area_m2)),
+        (reasons.BEYOND_POINTS, is_cut & (has_points > 0)),
     )
     flags = [tuple(name for name, rows in rules if rows[k]) for k in range(count)]
     return Evidence(ground_inside_m2, roof_outside_m2, flags)
+
+
+def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
+    """The area (n,) of polygons (n,) that is far from all points."""
+    size_m = RULES.beyond_m / 2
+    step = np.add.outer(np.arange(-1, 2), 1j * np.arange(-1, 2)).ravel()
+    # as complex numbers, which sort by the first and then the second coordinate
+    near = np.unique(np.floor(cells.x_m / size_m) + 1j * np.floor(cells.y_m / size_m))
+    near, result = np.unique(np.add.outer(near, step)), np.zeros(len(shapes))
+    for k, shape in enumerate(shapes):
+        if shape.is_empty:
+            continue
+        low_x, low_y, high_x, high_y = np.floor(np.array(shape.bounds) / size_m)
+        place = np.add.outer(np.arange(low_x, high_x + 1), 1j * np.arange(low_y, high_y + 1)).ravel()
+        far = place[np.searchsorted(near, place) == np.searchsorted(near, place, "right")]
+        if len(far):
+            x_m, y_m = size_m * far.real, size_m * far.imag
+            box = shapely.box(x_m, y_m, x_m + size_m, y_m + size_m)
+            result[k] = shapely.area(shapely.intersection(shape, box)).sum()
+    return result
 
 
 def _of_nearest(

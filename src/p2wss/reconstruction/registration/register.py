@@ -19,7 +19,7 @@ import shapely
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
-from p2wss.data import polygon_arrays
+from p2wss.data import polygon_arrays, reasons
 from p2wss.reconstruction.registration.blocks import Blocks, connected, find_blocks
 from p2wss.reconstruction.registration.footprint_flags import contradictions
 from p2wss.reconstruction.registration.shifts import (
@@ -181,7 +181,8 @@ def register(
                 float(sd_m) if np.isfinite(sd_m) else None,
                 str(shifts.source[block]),
                 float(overhang_m) if np.isfinite(overhang_m) else None,
-                () if is_own[k] else evidence.flags[k],
+                # without the producer's classes, what is ground and roof is known from the footprints
+                tuple(name for name in evidence.flags[k] if name == reasons.BEYOND_POINTS or not is_own[k]),
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),
                 least_id[block],
