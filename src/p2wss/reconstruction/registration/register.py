@@ -298,6 +298,7 @@ class _Near:
         self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]
         for block in np.flatnonzero(np.diff(first) > 1).tolist():
             self.points[block] = distinct(self.points[block])
+        self.outlines = polygon_arrays.to_geometries(blocks.outline)
         self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
 
     def block_of_points(self) -> np.ndarray:
@@ -352,7 +353,25 @@ class _Near:
             found_m = np.array([each.shift_m for each in found]).reshape(-1, 2)
             shift_m = np.where(np.hypot(*found_m.T)[:, None] <= MAX_SHIFT_M, found_m, shift_m)
             best = [min(pair, key=lambda each: each.sd_m) for pair in zip(best, found, strict=True)]
-        return best
+        return [no_estimate() if self._is_worse(k, each, inside) else each for k, each in enumerate(best)]
+
+    def _is_worse(self, block: int, estimate: Estimate, inside: np.ndarray) -> bool:
+        """Whether less of what is inside a block would be roofs if it were moved by an estimate than where it is: of
+        sparse points, steps of many short edges can agree by chance. inside: the block of each point."""
+        if not estimate.sd_m <= EVIDENCE.max_sd_m or np.hypot(*estimate.shift_m) < EVIDENCE.min_shift_m:
+            return False
+        point = self.points[block]
+        point = point[(inside[point] == block) | (inside[point] < 0)]
+        weight = self.weights[int(self.is_missed[block])][point]
+        first, last = np.searchsorted(self.blocks.of_outline, [block, block + 1])
+        shape = shapely.union_all(self.outlines[first:last])
+        here, there = (
+            weight[shapely.contains_xy(shape, self.x_m[point] - dx_m, self.y_m[point] - dy_m)]
+            for dx_m, dy_m in (np.zeros(2), estimate.shift_m)
+        )
+        # by the mean, as the sum depends on how many points are in a place
+        least = float(here.sum()) - SEARCH.as_good_points
+        return bool(len(there)) and float(there.mean()) * len(here) < least
 
 
 def decide(estimates: list[Estimate], pairs: np.ndarray, is_own: np.ndarray) -> Shifts:
