@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import Shell
@@ -18,6 +17,7 @@ from p2wss.mesh.faces import doubled_area
 from p2wss.mesh.rules import MEANINGS, VAL3DITY, breaches
 from p2wss.mesh.topology import doubled_areas
 from p2wss.mesh.triangulation import triangulated_in_space
+from p2wss.skeleton.groups import groups
 from p2wss.storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _breach_of_composite(solids: Sequence[Sequence[Shell]]) -> int | None:
     corners = [each - corners[0].min(axis=(0, 1)) for each in corners]
     bodies = [_manifold(each) for each in corners]
     boxes = [(each.min(axis=(0, 1)), each.max(axis=(0, 1))) for each in corners]
-    touch = np.eye(len(solids), dtype=bool)
+    touching = []
     for a, b in combinations(range(len(solids)), 2):
         low, high = np.maximum(boxes[a][0], boxes[b][0]), np.minimum(boxes[a][1], boxes[b][1])
         if (low - high > VAL3DITY.snap_m).any():
@@ -88,8 +88,9 @@ def _breach_of_composite(solids: Sequence[Sequence[Shell]]) -> int | None:
         area_m2 = min(np.linalg.norm(doubled_areas(corners[k]), axis=1).sum() / 2 for k in (a, b))
         if (bodies[a] ^ bodies[b]).volume() > VAL3DITY.snap_m * area_m2:
             return OVERLAP
-        touch[a, b] = bodies[a].min_gap(bodies[b], 2 * VAL3DITY.snap_m) <= VAL3DITY.snap_m
-    return APART if connected_components(touch, directed=False)[0] > 1 else None
+        if bodies[a].min_gap(bodies[b], 2 * VAL3DITY.snap_m) <= VAL3DITY.snap_m:
+            touching.append((a, b))
+    return APART if groups(len(solids), np.array(touching, int).reshape(-1, 2)).any() else None
 
 
 def _corners(shell: Shell) -> np.ndarray:
