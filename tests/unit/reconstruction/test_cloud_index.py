@@ -143,7 +143,7 @@ def test_a_look_at_heights_is_the_same_together_and_one_by_one(
     cloud = cloud_of(60_000, 250)
     samples = []
     for together in (len(cloud), 0):
-        monkeypatch.setattr(plausibility, "_TOGETHER", together)
+        monkeypatch.setattr(plausibility, "RULES", replace(plausibility.RULES, together=together))
         with index_of(cloud, shapely.bounds(shapes) + np.array([-70, -70, 70, 70]), tmp_path) as points:
             samples.append(plausibility.sample_of(features, points, None))
     for name, values in vars(samples[0]).items():
