@@ -33,7 +33,8 @@ class Rules:
     in another unit: where the user does not state it, and where they do. flat_m: a lower median, by heights in metres,
     tells that these are no heights, or of the ground alone. usual_m: the unit that is guessed makes the median as near
     to this, by a factor, as any does. layers_m: heights of the ground of one survey at one place do not differ by so
-    much; min_points, min_squares: of a place, and such places. max_undulation_m: from the ellipsoid to the sea.
+    much; min_points, min_squares, num_layered: of a place, such places, and footprints where this is looked at.
+    max_undulation_m: from the ellipsoid to the sea.
     """
 
     num_sampled: int = 32
@@ -52,6 +53,7 @@ class Rules:
     layers_m: float = 0.25
     min_points: int = 6
     min_squares: int = 10
+    num_layered: int = 8
     max_undulation_m: float = 110.0
 
 
@@ -118,10 +120,10 @@ def sample_of(
             roof_z = cloud.z_m[on[is_roof] if is_roof.any() else on]
             values[1, k] = np.median(roof_z) - values[0, k] if len(roof_z) else np.nan
             values[5, k] = len(on)
-            low, high = boxes[k].reshape(2, 2, 1)
-            values[6, k] = _layers_m(
-                ground_m[:, ((ground_m[:2] >= low) & (ground_m[:2] <= high)).all(axis=0)]
-            )
+            if k % stride(len(rows), RULES.num_layered) == 0:
+                low, high = boxes[k].reshape(2, 2, 1)
+                is_near = ((ground_m[:2] >= low) & (ground_m[:2] <= high)).all(axis=0)
+                values[6, k] = _layers_m(ground_m[:, is_near])
     if terrain is not None and len(rows):
         values[4] = terrain.interpolated(features["centre_x_m"][rows], features["centre_y_m"][rows])
     return Sample(*values)
