@@ -10,6 +10,7 @@ import click
 import p2wss
 from p2wss.cli.common import city_files
 from p2wss.cli.parser import PATH, Command
+from p2wss.storage.errors import InputError
 
 
 @click.command(cls=Command)
@@ -28,6 +29,8 @@ def check(files: tuple[Path, ...]) -> int:
     exit status is 1 if there is one.
     """
     num_invalid = 0
+    if empty := [each for each in files if each.is_dir() and not city_files(each)]:
+        raise InputError(f"{empty[0]}: has no CityJSON files")
     for path in chain.from_iterable(city_files(each) or [each] for each in files):
         validity = p2wss.check(path)
         for name, errors in validity.invalid.items():

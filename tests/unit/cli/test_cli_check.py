@@ -50,6 +50,16 @@ def broken(path: Path) -> Path:
     return other
 
 
+def test_a_folder_without_cityjson_is_one_line(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = city.parent / "empty"
+    empty.mkdir()
+    assert cli.main(["check", str(city), str(empty)]) == 2
+    assert capsys.readouterr() == (
+        "",
+        f"p2wss: error: {empty}: has no CityJSON files\n",
+    )
+
+
 def test_a_valid_file(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["check", str(city)]) == 0
     assert capsys.readouterr().out == f"{city}: 2 solids, 0 invalid\n"
