@@ -26,7 +26,8 @@ REPEATS = 3
 TO_FIRST_BUILDING = """
 import json, os, sys, time
 from p2wss.cli import importing, main
-with importing("requests", "pandas", "geopandas", "pyarrow"):  # as the command does
+from p2wss.cli.reconstruct import WITHOUT
+with importing(*WITHOUT):  # as the command does
     from p2wss.reconstruction import pipeline
 def stop(*arguments):
     status = open("/proc/self/status").read().splitlines()

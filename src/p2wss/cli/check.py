@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from pathlib import Path
 
 import click
@@ -28,10 +27,13 @@ def check(files: tuple[Path, ...]) -> int:
     The rules are those of ISO 19107, with the default tolerances of val3dity. Prints one line per invalid solid. The
     exit status is 1 if there is one.
     """
-    num_invalid = 0
-    if empty := [each for each in files if each.is_dir() and not city_files(each)]:
-        raise InputError(f"{empty[0]}: has no CityJSON files")
-    for path in chain.from_iterable(city_files(each) or [each] for each in files):
+    num_invalid, paths = 0, list[Path]()
+    for each in files:
+        inside = city_files(each)
+        if each.is_dir() and not inside:
+            raise InputError(f"{each}: has no CityJSON files")
+        paths += inside or [each]
+    for path in paths:
         validity = p2wss.check(path)
         for name, errors in validity.invalid.items():
             print(f"{path}: {name}: {'; '.join(errors)}")

@@ -34,6 +34,8 @@ OF_FOOTPRINTS = (
     "keep_columns",
     "tile",
 )
+# hidden while laspy and pyogrio are imported: for clouds at URLs, and for what pyogrio gives as tables
+WITHOUT = ("requests", "pandas", "geopandas", "pyarrow")
 
 
 @click.command(cls=Command)
@@ -134,8 +136,7 @@ def reconstruct(
         raise click.UsageError("CLOUD, FOOTPRINTS or OUT is missing", context)
     files.check_stem(name or "")
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
-    # of laspy, for clouds at URLs, and of pyogrio, for what it gives as tables
-    with importing("requests", "pandas", "geopandas", "pyarrow"):
+    with importing(*WITHOUT):
         from p2wss.reconstruction.inputs import check_inputs
 
     start = time.monotonic()

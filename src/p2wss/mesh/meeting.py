@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
-from p2wss.skeleton.compiled import both, entry
+from p2wss.skeleton.compiled import both, entry, inner
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind, distinct, numbered, writable
 
@@ -218,7 +218,16 @@ def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.nda
     """How far the furthest of the planes at each point is from it. point_m: (n, 4), with a 1. at, plane: pairs."""
     result = np.zeros(len(point_m))
     for k, place in enumerate(at):
-        result[place] = max(result[place], abs((row[plane[k]] * point_m[place]).sum()))
+        result[place] = max(result[place], abs(_off_m(row, plane[k], point_m, place)))
+    return result
+
+
+@inner
+def _off_m(row: np.ndarray, plane: int, point_m: np.ndarray, place: int) -> float:
+    """How far a point is from a plane, with the sign of the side."""
+    result = 0.0
+    for b in range(4):
+        result += row[plane, b] * point_m[place, b]
     return result
 
 
@@ -309,14 +318,14 @@ def _sums(
     """(pairs of planes (k, 2), what each adds to the matrix (k, 3, 3), right sides (num, 3)): the normal equations of
     the changes of planes; None if all planes meet. number: (p,), of each plane that moves, -1 if it stays. begin: where
     the planes of each point begin in ``plane``."""
-    num_pairs, off_m, is_off = 0, np.zeros(len(plane)), False
+    num_pairs, off_m, is_off = 0, np.empty(len(plane)), False
     lever = np.zeros((len(plane), 3))
     for at in range(len(inverse)):
         num_moved = 0
         for i in range(begin[at], begin[at + 1]):
             num_moved += number[plane[i]] >= 0
+            off_m[i] = _off_m(row, plane[i], point_m, at)
             for b in range(4):
-                off_m[i] += row[plane[i], b] * point_m[at, b]
                 for a in range(3):
                     lever[i, a] += point_m[at, b] * scale[plane[i], b, a]
             is_off |= abs(off_m[i]) >= _EXACT_M
@@ -366,9 +375,7 @@ def _followed(
     for place in range(len(inverse)):
         way_m[:] = 0.0
         for i in range(begin[place], begin[place + 1]):
-            off_m = 0.0
-            for b in range(4):
-                off_m += row[plane[i], b] * point_m[place, b]
+            off_m = _off_m(row, plane[i], point_m, place)
             for b in range(3):
                 way_m[b] += row[plane[i], b] * off_m
         for b in range(3):

@@ -83,15 +83,15 @@ def _without_shortest(
     if not len(rows):
         return None
     num = int(mesh.label.max(initial=0)) + 1
-    vertex, label = np.divmod(distinct(mesh.triangle.astype(np.int64) * num + mesh.label[:, None]), num)
+    triangle = writable(mesh.triangle, np.int64)
+    vertex, label = np.divmod(distinct(triangle * num + mesh.label[:, None]), num)
     begin = np.searchsorted(vertex, np.arange(len(mesh.vertex_m) + 1))
-    can_move, triangle = _that_can_move(mesh, vertex, label), writable(mesh.triangle, np.int64)
+    can_move = _that_can_move(mesh, vertex, label)
     rows = rows[np.argsort(edge_m[rows], kind="stable")]
     # each edge once, not for both its triangles
-    ends = np.sort(np.column_stack([mesh.triangle.ravel()[rows], mesh.triangle[:, NEXT].ravel()[rows]]))
-    rows = rows[np.sort(np.unique(ends @ [len(mesh.vertex_m), 1], return_index=True)[1])]
-    for row in rows.tolist():
-        end, gone = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
+    ends = np.column_stack([triangle.ravel()[rows], triangle.take(NEXT, 1).ravel()[rows]])
+    once = np.unique(np.sort(ends) @ [len(mesh.vertex_m), 1], return_index=True)[1]
+    for end, gone in ends[np.sort(once)].tolist():
         labels = [label[begin[v] : begin[v + 1]] for v in (end, gone)]
         around = frozenset(each.tobytes() for each in labels)
         if around in kept or not can_merge(triangle, len(mesh.vertex_m), end, gone):

@@ -16,7 +16,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.skeleton.types import Polygons
+from p2wss.skeleton.types import Polygons, distinct
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
     size_m = RULES.beyond_m / 2
     step = np.add.outer(np.arange(-1, 2), 1j * np.arange(-1, 2)).ravel()
     # as complex numbers, which sort by the first and then the second coordinate
-    near = np.unique(np.floor(cells.x_m / size_m) + 1j * np.floor(cells.y_m / size_m))
-    near, result = np.unique(np.add.outer(near, step)), np.zeros(len(shapes))
+    near = distinct(np.floor(cells.x_m / size_m) + 1j * np.floor(cells.y_m / size_m))
+    near, result = distinct(np.add.outer(near, step)), np.zeros(len(shapes))
     for k, shape in enumerate(shapes):
         if shape.is_empty:
             continue
