@@ -24,10 +24,12 @@ def test_the_reverse_of_a_half_edge_is_the_first_one(num: int, num_vertices: int
 
 
 def test_which_edges_can_go() -> None:
-    """Of a roof of two triangles over a fan of six around vertex 0, and of a strip around a hole."""
+    """Of a fan of six around vertex 0, of a strip around a hole, and of two strips around a tube, whose edges between
+    the strips have two triangles, but a third corner of the tube beside both ends."""
     fan = [(0, k, k % 6 + 1) for k in range(1, 7)]
     hole = [(1, 8, 2), (2, 8, 9), (2, 9, 3), (3, 9, 10), (3, 10, 1), (1, 10, 8)]
-    for triangles in (fan, hole):
+    tube = [*hole, (2, 5, 1), (6, 5, 2), (3, 6, 2), (7, 6, 3), (1, 7, 3), (5, 7, 1)]
+    for triangles in (fan, hole, tube):
         beside = defaultdict[int, set[int]](set)
         for triangle in triangles:
             for vertex in triangle:
@@ -38,6 +40,7 @@ def test_which_edges_can_go() -> None:
                 expected = num_both == 2 and len(beside[end] & beside[gone]) == 2
                 assert can_merge(np.array(triangles), 11, end, gone) == expected
     assert can_merge(np.array(fan), 11, 0, 1) and not can_merge(np.array(hole), 11, 1, 2)
+    assert not can_merge(np.array(tube), 11, 1, 2)
 
 
 def test_triangles_thinner_than_a_height() -> None:
