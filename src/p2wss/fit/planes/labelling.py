@@ -355,33 +355,39 @@ def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_p
 class _Work(NamedTuple):
     """Of :func:`_taken`. cells: those that may be taken, then those that are. candidate: of each of them that of the
     plane. is_in: bool (c,), whether a cell is one of them. need_m3: what a cell still costs if it is taken; below 0,
-    what it saves. rest_m3: (2 s,), what remains of the capacity of each way. level: steps from the nearest start.
-    place: which of its ways a cell tries next."""
+    what it saves. level: steps to the nearest cell that costs. queue: of cells.
+
+    By place in ``side_end``, (2 s,): other, the cell at the other hand; back, the place of the way back; rest_m3, what
+    remains of the capacity of the way.
+    """
 
     cells: np.ndarray
     candidate: np.ndarray
     is_in: np.ndarray
     need_m3: np.ndarray
-    rest_m3: np.ndarray
     level: np.ndarray
-    place: np.ndarray
     queue: np.ndarray
-    path: np.ndarray
+    other: np.ndarray
+    back: np.ndarray
+    rest_m3: np.ndarray
 
 
 @allocating
 def _work(problem: Problem) -> _Work:
     num, num_ways = len(problem.first) - 1, len(problem.side_end)
+    other, place_of = np.empty(num_ways, np.int64), np.empty(num_ways, np.int64)
+    for place, way in enumerate(problem.side_end):
+        other[place], place_of[way] = beside(problem, way), place
     return _Work(
         np.empty(num, np.int64),
         np.empty(num, np.int64),
         np.zeros(num, np.bool_),
         np.empty(num),
+        np.empty(num, np.int64),
+        np.empty(num, np.int64),
+        other,
+        place_of[(problem.side_end + num_ways // 2) % num_ways],
         np.empty(num_ways),
-        np.empty(num, np.int64),
-        np.empty(num, np.int64),
-        np.empty(num, np.int64),
-        np.empty(num, np.int64),
     )
 
 
@@ -392,7 +398,7 @@ def _taken(
     """How many of the first ``num`` cells of the work, which come to be the first there, a plane takes at least cost
     in all; 0 if that saves nothing.
 
-    This is a minimum cut by blocking flows (Dinic, 1970); those cells are taken that a path still reaches in the end.
+    This is a minimum cut; those cells are taken that a path still reaches in the end.
     """
     num_sides, number, cells, is_in = len(problem.pair), problem.number, work.cells, work.is_in
     need_m3, rest_m3, level = work.need_m3, work.rest_m3, work.level
@@ -400,19 +406,20 @@ def _taken(
         is_in[cell] = True
         need_m3[cell] = problem.cell_m3[work.candidate[cell]] - problem.cell_m3[choice[cell]]
     for cell in cells[:num]:
-        for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
-            side, other, own = way % num_sides, beside(problem, way), number[choice[cell]]
-            theirs = number[choice[other]]
+        for place in range(problem.side_first[cell], problem.side_first[cell + 1]):
+            way, other, own = problem.side_end[place], work.other[place], number[choice[cell]]
+            side, theirs = way % num_sides, number[choice[other]]
             only_one = side_m3(problem, prices, side, plane, theirs)
             neither = side_m3(problem, prices, side, own, theirs)
             if not is_in[other]:
                 need_m3[cell] += only_one - neither
+                rest_m3[place] = 0.0
             elif way < num_sides:
                 only_other = side_m3(problem, prices, side, own, plane)
                 need_m3[cell] += only_one - neither
                 need_m3[other] -= only_one
                 # a bound where two planes side by side cost more than both by way of a third one
-                rest_m3[way], rest_m3[way + num_sides] = 0.0, max(only_other + only_one - neither, 0.0)
+                rest_m3[place], rest_m3[work.back[place]] = 0.0, max(only_other + only_one - neither, 0.0)
     _cut(problem, num, work)
     gain_m3 = 0.0
     for cell in cells[:num]:
@@ -438,49 +445,70 @@ def _taken(
 
 @inner
 def _cut(problem: Problem, num: int, work: _Work) -> None:
-    """Sends as much as possible from cells that save to those that cost."""
-    num_sides, level, place, queue, path = len(problem.pair), work.level, work.place, work.queue, work.path
-    need_m3, rest_m3 = work.need_m3, work.rest_m3
+    """Sends as much as possible from cells that save to those that cost, in the end ``level`` is :data:`_NOT_REACHED`
+    for cells that no path from what is left reaches.
+
+    Goldberg and Tarjan (A New Approach to the Maximum-Flow Problem, 1988): a cell sends what it has to those beside it
+    that are a step nearer to one that costs, from time to time measured anew. Paths are short, as most cells that save
+    are beside those that cost; to look for paths from all cells, again and again, takes twice as long.
+    """
+    first, level, queue, cells = problem.side_first, work.level, work.queue, work.cells
+    need_m3, rest_m3, others, back = work.need_m3, work.rest_m3, work.other, work.back
+    far, num_raised = num + 1, num
     while True:
-        head, tail, meets = 0, 0, False
-        for cell in work.cells[:num]:
-            level[cell], place[cell] = _NOT_REACHED, problem.side_first[cell]
-            if need_m3[cell] < -_GAIN_M3:
-                level[cell], queue[tail], tail = 0, cell, tail + 1
-        num_starts = tail
-        while head < tail:
-            cell, head = queue[head], head + 1
-            meets |= need_m3[cell] > _GAIN_M3
-            for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
-                other = beside(problem, way)
-                if work.is_in[other] and level[other] == _NOT_REACHED and rest_m3[way] > _GAIN_M3:
-                    level[other], queue[tail], tail = level[cell] + 1, other, tail + 1
-        if not meets:
-            return
-        for start in queue[:num_starts]:
-            cell, depth = start, 0
-            while need_m3[start] < -_GAIN_M3:
-                if need_m3[cell] > _GAIN_M3:
-                    flow_m3 = min(need_m3[cell], -need_m3[start])
-                    for way in path[:depth]:
-                        flow_m3 = min(flow_m3, rest_m3[way])
-                    for way in path[:depth]:
-                        rest_m3[way] -= flow_m3
-                        rest_m3[way + num_sides if way < num_sides else way - num_sides] += flow_m3
-                    need_m3[cell] -= flow_m3
-                    need_m3[start] += flow_m3
-                    cell, depth = start, 0
-                elif place[cell] < problem.side_first[cell + 1]:
-                    way = problem.side_end[place[cell]]
-                    other = beside(problem, way)
-                    if work.is_in[other] and rest_m3[way] > _GAIN_M3 and level[other] == level[cell] + 1:
-                        cell, path[depth], depth = other, way, depth + 1
-                    else:
-                        place[cell] += 1
-                elif depth:
-                    depth -= 1
-                    way = path[depth]
-                    cell = problem.pair[way, 0] if way < num_sides else problem.pair[way - num_sides, 1]
-                    place[cell] += 1
-                else:
-                    break
+        if num_raised >= num:
+            _measure(problem, num, work)
+            num_raised, head, num_waiting = 0, 0, 0
+            for cell in cells[:num]:
+                if need_m3[cell] < -_GAIN_M3 and level[cell] < far:
+                    queue[num_waiting], num_waiting = cell, num_waiting + 1
+        if not num_waiting:
+            break
+        cell = queue[head]
+        head, num_waiting = (head + 1) % num, num_waiting - 1
+        while need_m3[cell] < -_GAIN_M3 and level[cell] < far:
+            nearest = far
+            for way in range(first[cell], first[cell + 1]):
+                other = others[way]
+                if rest_m3[way] > _GAIN_M3 and level[other] < level[cell]:
+                    flow_m3, has_none = min(rest_m3[way], -need_m3[cell]), need_m3[other] >= -_GAIN_M3
+                    rest_m3[way] -= flow_m3
+                    rest_m3[back[way]] += flow_m3
+                    need_m3[cell] += flow_m3
+                    need_m3[other] -= flow_m3
+                    if has_none and need_m3[other] < -_GAIN_M3:
+                        queue[(head + num_waiting) % num], num_waiting = other, num_waiting + 1
+                    if need_m3[cell] >= -_GAIN_M3:
+                        break
+                if rest_m3[way] > _GAIN_M3:
+                    nearest = min(nearest, level[other] + 1)
+            else:
+                level[cell], num_raised = nearest, num_raised + 1
+    num_reached = 0
+    for cell in cells[:num]:
+        level[cell] = _NOT_REACHED
+        if need_m3[cell] < -_GAIN_M3:
+            level[cell], queue[num_reached], num_reached = 0, cell, num_reached + 1
+    head = 0
+    while head < num_reached:
+        cell, head = queue[head], head + 1
+        for way in range(first[cell], first[cell + 1]):
+            if rest_m3[way] > _GAIN_M3 and level[others[way]] == _NOT_REACHED:
+                level[others[way]], queue[num_reached], num_reached = 0, others[way], num_reached + 1
+
+
+@inner
+def _measure(problem: Problem, num: int, work: _Work) -> None:
+    """The steps from each cell to the nearest one that costs, more than ``num`` where there is no path."""
+    first, level, queue = problem.side_first, work.level, work.queue
+    head, tail = 0, 0
+    for cell in work.cells[:num]:
+        level[cell] = num + 1
+        if work.need_m3[cell] > _GAIN_M3:
+            level[cell], queue[tail], tail = 0, cell, tail + 1
+    while head < tail:
+        cell, head = queue[head], head + 1
+        for way in range(first[cell], first[cell + 1]):
+            other = work.other[way]
+            if work.is_in[other] and level[other] > num and work.rest_m3[work.back[way]] > _GAIN_M3:
+                level[other], queue[tail], tail = level[cell] + 1, other, tail + 1

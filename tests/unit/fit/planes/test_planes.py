@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse
 import shapely
 from cell_costs import all_costs
+from scipy.sparse.csgraph import maximum_flow
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
@@ -27,6 +29,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.mesh.topology import doubled_areas, is_closed, unit_normals
 from p2wss.skeleton import FaceKind
+from p2wss.skeleton.groups import cell_neighbours
 
 PLANES = Planes()
 SLOPE = np.tan(np.radians(40))
@@ -485,6 +488,28 @@ def test_two_planes_are_divided_at_least_cost(seed: int) -> None:
     costs = all_costs(rng.uniform(0, 2, (10, 2)), pair, rng.uniform(0, 1, 20), prices)
     best_m3 = min(costs.total_m3(np.array(each)) for each in itertools.product(range(2), repeat=10))
     assert costs.total_m3(least_cost(costs)) == pytest.approx(best_m3)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_two_planes_are_divided_at_least_cost_over_many_cells(seed: int) -> None:
+    """Against the greatest flow that scipy finds, in which capacities are whole numbers."""
+    rng = np.random.default_rng(seed)
+    grid = np.arange(900).reshape(30, 30)
+    pair = np.column_stack(cell_neighbours(grid))
+    # in lumps, so that much flows far, and some of it nowhere
+    cell_m3 = np.repeat(np.repeat(rng.integers(0, 2000, (6, 6, 2)), 5, 0), 5, 1).reshape(-1, 2)
+    cell_m3 += rng.integers(0, 500, (900, 2))
+    length_m = rng.integers(0, 800, len(pair))
+    rows = np.concatenate([pair[:, 0], pair[:, 1], np.full(900, 900), grid.ravel()])
+    columns = np.concatenate([pair[:, 1], pair[:, 0], grid.ravel(), np.full(900, 901)])
+    capacity = np.concatenate([length_m, length_m, cell_m3[:, 0], cell_m3[:, 1]])
+    graph = scipy.sparse.csr_array((capacity.astype(np.int32), (rows, columns)), shape=(902, 902))
+    least_m3 = maximum_flow(graph, 900, 901).flow_value
+    prices = PLANES.prices._replace(face_m3=0.0, line_m3=0.0, edge_m2=1.0)
+    costs = all_costs(cell_m3, pair, length_m.astype(float), prices)
+    label = least_cost(costs)
+    assert 0 < label.sum() < 900
+    assert costs.total_m3(label) == pytest.approx(least_m3)
 
 
 RING = np.array([[i, (i + 1) % 6] for i in range(6)])
