@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from kernel_unions import union
 from skin_solids import Solid, assert_closed, gable, solid, united, volume
@@ -297,6 +297,28 @@ def test_houses_that_touch_in_an_edge_between_others() -> None:
     cuts=st.lists(st.floats(0.3, 2.7), min_size=6, max_size=6),
     turn_deg=st.floats(0, 90),
     kept=st.sets(st.integers(0, 11), min_size=2),
+)
+# eaves 2.1 mm above the foot of a roof's edge, and one that crosses a steep edge 2 mm beside an upright one
+@example(
+    heights=[3.0, 3.3, 3.06, 3.3, 3.0, 3.0, 3.0, 3.06, 3.06, 3.06, 3.0, 3.0],
+    roofs=[0, 0, 30, 0, 0, 0, 0, 0, 0, 30, 30, 0],
+    cuts=[1.75, 1.875, 0.5, 2.0625, 1.5, 1.5],
+    turn_deg=0.0,
+    kept=set(range(11)),
+)
+@example(
+    heights=[3.06, 3.0, 3.06, 3.3, 3.0, 3.06, 3.0, 3.3, 3.0, 3.3, 3.0, 3.3],
+    roofs=[70, 60, 60, 60, 60, 75, 75, 75, 70, 70, 60, 70],
+    cuts=[
+        1.6218470950528148,
+        1.6900001111980536,
+        0.9536434696008662,
+        1.8593920377248854,
+        1.4097888761355437,
+        2.337433428930168,
+    ],
+    turn_deg=0.0,
+    kept=set(range(12)) - {3},
 )
 @settings(max_examples=60, deadline=None)
 def test_any_coverage(

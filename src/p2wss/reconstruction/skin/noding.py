@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
-from p2wss.reconstruction.skin.solids import TOLERANCE_M, Face, tidy
+from p2wss.reconstruction.skin.solids import LEVEL_M, TOLERANCE_M, Face, tidy
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 
@@ -67,6 +67,8 @@ def _points_on(point: np.ndarray, segment: np.ndarray, tree: shapely.STRtree) ->
     at = (to_vertex * along).sum(axis=1) / length
     aside = np.linalg.norm(to_vertex - (at / length)[:, None] * along, axis=1)
     on = (vertex[:, None] != segment[number]).all(axis=1) & (at > 0) & (at < length) & (aside <= TOLERANCE_M)
+    # what is beside an upright edge, but not over its place, is where a steep edge crosses another
+    on &= (along[:, :2] != 0).any(axis=1) | (to_vertex[:, :2] == 0).all(axis=1)
     return number[on], at[on], vertex[on]
 
 
@@ -91,8 +93,8 @@ def _crossings(
     for vector, start in ((u, p), (v, q)):
         upright = np.hypot(vector[crossing, 0], vector[crossing, 1]) <= TOLERANCE_M
         place[upright, :2] = start[crossing][upright, :2]
-    used = np.unique(segment)
-    away, found = nearest(point[used], place)
+    used, scale = np.unique(segment), np.array([1, 1, TOLERANCE_M / LEVEL_M])
+    away, found = nearest(point[used] * scale, place * scale)
     vertex = used[found[:, 0]]
     # new points at one place are one, the lexicographically smallest, whatever the order of the segments
     fresh = np.flatnonzero(away[:, 0] > TOLERANCE_M)
@@ -100,7 +102,8 @@ def _crossings(
         fresh = fresh[np.lexsort(place[fresh].T[::-1])]
         plan = np.asarray(shapely.points(place[fresh, :2]), object)
         near = shapely.STRtree(plan).query(plan, predicate="dwithin", distance=TOLERANCE_M)
-        is_near = np.linalg.norm(place[fresh[near[0]]] - place[fresh[near[1]]], axis=1) <= TOLERANCE_M
+        between = (place[fresh[near[0]]] - place[fresh[near[1]]]) * scale
+        is_near = np.linalg.norm(between, axis=1) <= TOLERANCE_M
         cluster = groups(len(fresh), near.T[is_near])
         _, first, cluster = np.unique(cluster, return_index=True, return_inverse=True)
         vertex[fresh] = len(point) + cluster

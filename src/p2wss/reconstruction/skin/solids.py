@@ -15,6 +15,9 @@ from p2wss.skeleton.types import FaceKind
 
 # points this near, and points this near to a wall's line, are one place
 TOLERANCE_M = 2e-3
+# points over one place of the plan that are no further apart in height are one: of two that are nearer, the upper one
+# would be within the tolerance of a roof's edge that rises from the lower one, which would then begin upright
+LEVEL_M = 1e-2
 # floors of touching buildings are lowered by at most this to be level with each other
 MAX_LOWERING_M = 0.5
 _UPRIGHT_NZ = 0.05
@@ -153,7 +156,7 @@ def weld(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> np.n
     order = np.lexsort([point[used, 2], place])
     z = point[used[order], 2]
     is_new = np.ones(len(order), bool)
-    is_new[1:] = (np.diff(place[order]) != 0) | (np.diff(z) > TOLERANCE_M)
+    is_new[1:] = (np.diff(place[order]) != 0) | (np.diff(z) > LEVEL_M)
     representative = np.arange(len(point))
     representative[used[order]] = used[order][np.flatnonzero(is_new)[np.cumsum(is_new) - 1]]
     for face in faces:
