@@ -15,9 +15,10 @@ Needs no data. Draws clouds and footprints, the work doubling eight times, and r
 Each size is a process of its own: its CPU time and peak memory (``figures.run``), less those of a run of one small
 house, in turn with it; the least of three for runs below ten seconds. The exponent is the slope of log cost over log
 work in the upper half of the sizes, where little of the cost does not grow: 1 is in proportion, 2 with the square. Of
-memory, only sizes that take ``MIN_MIB`` more than the small house count: less is within what the start takes. *Built*
-is how many roof faces the result has, of those that were drawn: time in which nothing was found proves nothing. A kind
-ends where a run takes longer than ``--limit``; then the figures say up to which size it was measured.
+memory, only sizes that take ``MIN_MIB`` more than the small house count: less is within what the start takes, and the
+exponent is 0 if that is so of all but one. *Built* is how many roof faces the result has, of those that were drawn:
+time in which nothing was found proves nothing. A kind ends where a run takes longer than ``--limit``; then the figures
+say up to which size it was measured.
 """
 
 from __future__ import annotations
@@ -244,9 +245,8 @@ def measure(kind: str, most: int, limit_s: float, folder: Path, figures: Figures
         f"{kind}: exponent of CPU time", exponent(sizes[half:], times_s[half:]), MOST_EXPONENT[kind]
     )
     large = [k for k in range(half, len(sizes)) if peaks_mib[k] >= MIN_MIB]
-    if len(large) > 1:
-        of_memory = exponent([sizes[k] for k in large], [peaks_mib[k] for k in large])
-        figures.at_most(f"{kind}: exponent of memory", of_memory, MOST_EXPONENT[kind])
+    of_memory = exponent([sizes[k] for k in large], [peaks_mib[k] for k in large]) if len(large) > 1 else 0.0
+    figures.at_most(f"{kind}: exponent of memory", of_memory, MOST_EXPONENT[kind])
     figures.at_least(f"{kind}: built, least of the upper half", min(built[half:]), MIN_BUILT)
     if kind in RATIOS:
         most, least, bar = RATIOS[kind]
