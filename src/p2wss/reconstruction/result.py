@@ -24,6 +24,7 @@ from p2wss.reconstruction.registration.register import Registration
 if TYPE_CHECKING:
     from p2wss.reconstruction.scene import SceneBuilding
 
+STATUSES = ("ok", "flat", "none")
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
 # that are kept for the page of the run
@@ -188,7 +189,7 @@ def summary(results: Iterable[Result | SceneBuilding]) -> str:
 
     ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``
     """
-    reasons: dict[str, Counter[str]] = {status: Counter() for status in ("ok", "flat", "none")}
+    reasons: dict[str, Counter[str]] = {status: Counter() for status in STATUSES}
     num_with_status: Counter[str] = Counter()
     num_results = num_flagged = num_lines = num_used = 0
     for result in results:

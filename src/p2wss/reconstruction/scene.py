@@ -50,7 +50,7 @@ from p2wss.reconstruction.pipeline import Rows
 from p2wss.reconstruction.points import plausibility, unclassified
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.reconstruction.registration import register as registration
-from p2wss.reconstruction.result import Result, summary
+from p2wss.reconstruction.result import STATUSES, Result, summary
 from p2wss.reconstruction.roof_lines import with_lines
 from p2wss.reconstruction.running.failures import Failures
 from p2wss.reconstruction.running.spool import Spool
@@ -677,10 +677,12 @@ def _of_file(solid: cityjson_read.ReadSolid) -> SceneBuilding:
     mesh = solid.mesh if len(solid.mesh.triangle) else None
     ground = np.zeros((0, 3, 3)) if mesh is None else mesh.corner_m[mesh.kind == FaceKind.GROUND]
     footprint = shapely.union_all(shapely.polygons(ground[:, :, :2]))
+    # other programs' attributes of these names mean other things, as in 3DBAG the use of a building
+    is_ours = solid.attributes.get("status") in STATUSES
     return SceneBuilding(
         solid.building_id,
-        str(solid.attributes.get("status", "ok" if mesh is not None else "none")),
-        solid.attributes.get("reason"),
+        solid.attributes["status"] if is_ours else "ok" if mesh is not None else "none",
+        solid.attributes.get("reason") if is_ours else None,
         solid.attributes,
         footprint if isinstance(footprint, shapely.Polygon) and len(ground) else None,
         mesh,

@@ -45,7 +45,7 @@ def test_files_of_any_program_are_compared_on_a_page(demo: Path, tmp_path: Path)
     ours = demo / "out/lidar.city.json"
     document = json.loads(ours.read_text())
     for city_object in document["CityObjects"].values():
-        city_object["attributes"] = {}
+        city_object["attributes"] = {"status": "Pand in gebruik", "reason": 3}  # of 3DBAG
     other, page = tmp_path / "other.city.json", tmp_path / "page.html"
     other.write_text(json.dumps(document))
     assert cli.main(["view", str(other), str(ours), str(demo / "lidar.laz"), "--out", str(page)]) == 0
@@ -54,6 +54,14 @@ def test_files_of_any_program_are_compared_on_a_page(demo: Path, tmp_path: Path)
         assert set(each["meshes"]) == {"other.city.json", "lidar.city.json"}
         # measured on other points of the same building
         assert each["attributes"]["residual_m"] == pytest.approx(by_id[each["id"]]["residual"], abs=0.05)
+
+
+def test_of_citygml_it_is_said_how_to_convert_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.gml"
+    path.write_text('\ufeff<?xml version="1.0"?>\n<core:CityModel/>', encoding="utf-8")
+    for command in ("view", "check"):
+        assert cli.main([command, str(path)]) == 2
+        assert "citygml-tools to-cityjson" in capsys.readouterr().err
 
 
 def test_of_many_buildings_the_others_are_shapes(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
