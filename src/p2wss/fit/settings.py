@@ -149,6 +149,10 @@ class Drawing(NamedTuple):
     same_deg: float = 4.0
     # a step leaves less than this share of the points of the border on the wrong side
     wrong_share: float = 0.35
+    # links between points on both sides of a step that no other line divides, and metres along them: a part of the
+    # step with so many of them has a line
+    part_links: int = 8
+    part_m: float = 1.0
     # metres: lines of a map end so far from what they should meet, and are used where an edge is so near
     mapped_gap_m: float = 1.0
     mapped_on_m: float = 0.2

@@ -22,6 +22,8 @@ _PARALLEL, _SLOPED = 0.06, 0.05
 # metres: a larger step between two planes is one
 _STEP_M = 0.25
 _MIN_BORDER = 3
+# products of links and lines at once
+_MAX_PRODUCTS = 1_000_000
 # metres: what is so near to a line is on it
 _ON_M = 1e-3
 # metres: as they are, 39 of 6,000 grids in whole millimetres fail; moved by this, none
@@ -82,7 +84,8 @@ def lines_of(
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
     edges = edges_of(rings)
-    meets, steps = _between(plane, label, point_m, along, settings)
+    pair, of_pair, link = _links(label, point_m, settings.near_m)
+    meets, steps = _between(plane, pair, of_pair, link, point_m, along, settings)
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
     axes = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2)
@@ -91,13 +94,17 @@ def lines_of(
     sides_m = _extents(point_m, label, plane, axes, by_x, by_label, begin, settings.reach_m)
     normals = axes.repeat(2, axis=0)
     steps += [Line(normal, *side) for normal, side in zip(normals, sides_m.tolist(), strict=True)]
-    meets, steps = (_into_shadow(each, point_m, settings) for each in (meets, steps))
-    snapped = _snapped(steps, [edge for edge, _ in edges], settings)
-    steps = snapped + [
+    going_on = [
         edge.along(ends_m, settings.beyond_m)
         for (edge, goes_on), ends_m in zip(edges, edge_ends(rings), strict=True)
         if goes_on
     ]
+    steps += _parts_of_borders(
+        plane, pair, of_pair, link, point_m, own, [*meets, *steps, *going_on], along, settings
+    )
+    meets, steps = (_into_shadow(each, point_m, settings) for each in (meets, steps))
+    snapped = _snapped(steps, [edge for edge, _ in edges], settings)
+    steps = snapped + going_on
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
 
 
@@ -122,11 +129,94 @@ def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) 
     ]
 
 
+def _parts_of_borders(
+    plane: np.ndarray,
+    pair: np.ndarray,
+    of_pair: np.ndarray,
+    link: np.ndarray,
+    point_m: np.ndarray,
+    own: np.ndarray,
+    lines: Sequence[Line],
+    along: Sequence[float],
+    settings: Drawing,
+) -> list[Line]:
+    """Lines along the parts of steps that turn, as around a corner of the higher roof: those that divide the most of
+    the links that no other line divides. own: (k,), the directions of the planes; other arguments as of
+    :func:`_between`."""
+    middle_m = point_m[link, :2].mean(axis=1)
+    slope, height_m = np.split(plane[pair[:, 0]] - plane[pair[:, 1]], [2], axis=1)
+    is_step = np.abs((slope[of_pair] * middle_m).sum(axis=1) + height_m[of_pair, 0]) > _STEP_M
+    is_step &= (np.bincount(of_pair[is_step], minlength=len(pair)) >= settings.part_links)[of_pair]
+    if not is_step.any():
+        return []
+    of_pair, link_m = of_pair[is_step], point_m[link[is_step], :2]
+    is_open = ~_are_divided(link_m, lines)
+    of_pair, link_m, result = of_pair[is_open], link_m[is_open], list[Line]()
+    for number in np.flatnonzero(np.bincount(of_pair) >= settings.part_links).tolist():
+        rest_m = link_m[of_pair == number]
+        turned = np.add.outer([*along, *own[pair[number]]], np.arange(4) * np.pi / 2).ravel()
+        normals = np.column_stack([np.cos(turned), np.sin(turned)])
+        while len(rest_m) >= settings.part_links:
+            found = [_longest(rest_m, normal, settings) for normal in normals]
+            line, run = max(found, key=lambda each: len(each[1]))
+            if (
+                len(run) < settings.part_links
+                or np.ptp(rest_m[run].mean(axis=1) @ line.direction) < settings.part_m
+            ):
+                break
+            result.append(line)
+            rest_m = np.delete(rest_m, run, axis=0)
+            rest_m = rest_m[~_are_divided(rest_m, [line])]
+    return result
+
+
+def _are_divided(link_m: np.ndarray, lines: Sequence[Line]) -> np.ndarray:
+    """bool (l,), which links (l, 2, 2) a line divides."""
+    if not lines:
+        return np.zeros(len(link_m), bool)
+    normal, offset_m = as_arrays(lines)
+    low_m, high_m = np.array([(line.low_m, line.high_m) for line in lines]).T
+    num = max(1, _MAX_PRODUCTS // len(lines))
+    result = []
+    for first in range(0, len(link_m), num):
+        off_m = link_m[first : first + num] @ normal.T - offset_m
+        place_m = cross(normal, link_m[first : first + num, :, None])
+        is_beside = (place_m.max(axis=1) > low_m) & (place_m.min(axis=1) < high_m)
+        result.append((is_beside & (off_m.prod(axis=1) < 0)).any(axis=1))
+    return np.concatenate([np.zeros(0, bool), *result])
+
+
+def _longest(link_m: np.ndarray, normal: np.ndarray, settings: Drawing) -> tuple[Line, np.ndarray]:
+    """(the line across a normal that divides the most of the links (l, 2, 2) that go along the normal, those of them
+    that are side by side)."""
+    low, high = (link_m @ normal).T
+    rows = np.flatnonzero(low < high)
+    order = np.argsort(np.concatenate([low[rows], high[rows]]), kind="stable")
+    if not len(rows):
+        return Line(normal, 0.0), rows
+    at = np.concatenate([low[rows], high[rows]])[order]
+    most = int(np.cumsum(np.where(order < len(rows), 1, -1)).argmax())
+    line = Line(normal, float(at[most : most + 2].mean()))
+    rows = rows[(low[rows] <= line.offset_m) & (high[rows] >= line.offset_m)]
+    place_m = link_m[rows].mean(axis=1) @ line.direction
+    order = np.argsort(place_m, kind="stable")
+    runs = np.split(rows[order], np.flatnonzero(np.diff(place_m[order]) > settings.near_m) + 1)
+    run = max(runs, key=len)
+    return line.along(link_m[run].reshape(-1, 2), settings.reach_m), run
+
+
 def _between(
-    plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, along: Sequence[float], settings: Drawing
+    plane: np.ndarray,
+    pair: np.ndarray,
+    of_link: np.ndarray,
+    link: np.ndarray,
+    point_m: np.ndarray,
+    along: Sequence[float],
+    settings: Drawing,
 ) -> tuple[list[Line], list[Line]]:
-    """(lines on which planes side by side meet, lines of steps between them); arguments as of :func:`lines_of`."""
-    pair, side, border_m = _borders(label, point_m, settings.near_m)
+    """(lines on which planes side by side meet, lines of steps between them). pair, of_link, link: as of
+    :func:`_links`; other arguments as of :func:`lines_of`."""
+    side, border_m = _borders(of_link, link, point_m)
     of_pair, (x, y) = side // 2, border_m.T
     slope = plane[pair[:, 0]] - plane[pair[:, 1]]
     fold = np.hypot(slope[:, 0], slope[:, 1])
@@ -176,17 +266,25 @@ def _shake_m(size: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (size, 2))
 
 
-def _borders(
+def _borders(of_pair: np.ndarray, link: np.ndarray, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(sides (m,), places (m, 2)) of points of one plane that are beside a point of another. Sides ascend: ``2 k`` at
+    the first plane of pair k, ``2 k + 1`` at the second."""
+    size = len(point_m)
+    side, row = np.divmod(distinct((2 * of_pair[:, None] + [0, 1]) * size + link), size)
+    return side, point_m[row, :2]
+
+
+def _links(
     label: np.ndarray, point_m: np.ndarray, near_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(pairs of planes (p, 2), sides (m,), places (m, 2)) of points of one plane that are beside a point of another.
-    Sides ascend: ``2 k`` at the first plane of pair k, ``2 k + 1`` at the second."""
+    """(pairs of planes (p, 2); of each link between points of two planes that are side by side its pair (l,); the rows
+    of its points (l, 2), in the order of the planes)."""
     rows = np.flatnonzero(label >= 0)
     # of points at one place the first
     rows = rows[np.lexsort((point_m[rows, 1], point_m[rows, 0]))]
     rows = rows[np.append(True, (point_m[rows[1:], :2] != point_m[rows[:-1], :2]).any(axis=1))[: len(rows)]]
     if len(rows) < 4:
-        return np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2))
+        return np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2), int)
     # GEOS fails on some regular grids, so that each point is moved a little
     site_m = point_m[rows, :2] + _shake_m(1 << len(rows).bit_length())[: len(rows)]
     links, x_m = [], point_m[rows, 0]
@@ -207,8 +305,7 @@ def _borders(
     link = np.where(label[link[:, :1]] < label[link[:, 1:]], link, link[:, ::-1])
     size = len(label)
     pairs, pair_of = numbered(label[link] @ [size, 1])
-    side, row = np.divmod(distinct((2 * pair_of[:, None] + [0, 1]) * size + link), size)
-    return np.column_stack(np.divmod(pairs, size)), side, point_m[row, :2]
+    return np.column_stack(np.divmod(pairs, size)), pair_of, link
 
 
 def _steps(both: np.ndarray, num_one: int, normal: np.ndarray, settings: Drawing) -> list[Line]:

@@ -754,10 +754,10 @@ def test_a_roof_house_has_walls_where_its_points_end() -> None:
     lines = lines_of(
         rings, plane, label, np.column_stack([xy_m, plane[label, 2]]), [0.0], PLANES.drawing.for_density(6.25)
     )
-    offset_m = np.array([[line.offset_m for line in lines if line.normal[axis] == 1] for axis in (0, 1)])
     for axis, half_m in enumerate((1.6, 1.2)):
+        offset_m = np.array([line.offset_m for line in lines if line.normal[axis] == 1])
         for wall_m in (-half_m, half_m):
-            assert np.abs(offset_m[axis] - wall_m).min() < 0.3
+            assert np.abs(offset_m - wall_m).min() < 0.3
 
 
 def test_lines_that_few_points_cannot_tell_apart_are_one() -> None:
@@ -909,8 +909,24 @@ def test_points_on_a_regular_grid_have_borders() -> None:
     with pytest.raises(shapely.GEOSException):
         shapely.delaunay_triangles(shapely.MultiPoint(xy_m))
     label = (x.ravel() > 1.7).astype(int)
-    pair, side, _ = lines._borders(label, np.column_stack([xy_m, label]), 0.4)
+    point_m = np.column_stack([xy_m, label])
+    pair, *links = lines._links(label, point_m, 0.4)
+    side, _ = lines._borders(*links, point_m)
     assert pair.tolist() == [[0, 1]] and np.bincount(side).tolist() == [12, 12]
+
+
+def test_a_step_that_turns_has_a_line_along_each_of_its_parts() -> None:
+    """A higher roof with a part that juts out: neither the border of both nor the sides of a rectangle around one of
+    them show the lines of that part."""
+    xy_m = np.random.default_rng(0).uniform(0, 24, (4000, 2))
+    is_high = (xy_m[:, 0] > 15) | ((xy_m[:, 0] > 9) & (np.abs(xy_m[:, 1] - 12) < 3))
+    point_m = np.column_stack([xy_m, np.where(is_high, 6.0, 4.0)])
+    ring = np.array([[0, 0], [24, 0], [24, 24], [0, 24.0]])
+    none = PLANES._replace(drawing=PLANES.drawing._replace(part_links=len(xy_m)))
+    for settings, least, most in ((PLANES, 0.0, 0.01), (none, 0.03, 0.2)):
+        fit = fit_planes([ring], point_m, settings)
+        assert fit is not None
+        assert least <= (residuals_m(fit, point_m) > 0.5).mean() <= most
 
 
 def test_sparse_points_of_a_large_building_show_all_its_roofs() -> None:
