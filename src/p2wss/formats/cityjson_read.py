@@ -117,9 +117,7 @@ def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.n
     with reading(path, "CityJSON"):
         text = Path(path).read_text(encoding="utf-8")
         if text.lstrip("\ufeff \n\r\t").startswith("<"):
-            raise ValueError(
-                "it is XML; if it is CityGML, convert it: citygml-tools to-cityjson FILE"
-            )
+            raise ValueError("it is XML; if it is CityGML, convert it: citygml-tools to-cityjson FILE")
         try:
             documents = [json.loads(line) for line in text.splitlines() if line.strip()]
         except json.JSONDecodeError:

@@ -154,7 +154,9 @@ def _parts_of_borders(
     of_pair, link_m, result = of_pair[is_open], link_m[is_open], list[Line]()
     for number in np.flatnonzero(np.bincount(of_pair) >= settings.part_links).tolist():
         rest_m = link_m[of_pair == number]
-        turned = np.add.outer([*along, *own[pair[number]]], np.arange(4) * np.pi / 2).ravel()
+        turned = np.add.outer(
+            [*dict.fromkeys([*along, *own[pair[number]].tolist()])], np.arange(4) * np.pi / 2
+        ).ravel()
         normals = np.column_stack([np.cos(turned), np.sin(turned)])
         while len(rest_m) >= settings.part_links:
             found = [_longest(rest_m, normal, settings) for normal in normals]
