@@ -154,17 +154,12 @@ def _parts_of_borders(
     of_pair, link_m, result = of_pair[is_open], link_m[is_open], list[Line]()
     for number in np.flatnonzero(np.bincount(of_pair) >= settings.part_links).tolist():
         rest_m = link_m[of_pair == number]
-        turned = np.add.outer(
-            [*dict.fromkeys([*along, *own[pair[number]].tolist()])], np.arange(4) * np.pi / 2
-        ).ravel()
-        normals = np.column_stack([np.cos(turned), np.sin(turned)])
+        normals = _normals([*dict.fromkeys([*along, *own[pair[number]].tolist()])])
         while len(rest_m) >= settings.part_links:
-            found = [_longest(rest_m, normal, settings) for normal in normals]
-            line, run = max(found, key=lambda each: len(each[1]))
-            if (
-                len(run) < settings.part_links
-                or np.ptp(rest_m[run].mean(axis=1) @ line.direction) < settings.part_m
-            ):
+            line, run = _longest(rest_m, normals, settings)
+            if len(run) < settings.part_links:
+                break
+            if np.ptp(rest_m[run].mean(axis=1) @ line.direction) < settings.part_m:
                 break
             result.append(line)
             rest_m = np.delete(rest_m, run, axis=0)
@@ -188,23 +183,36 @@ def _are_divided(link_m: np.ndarray, lines: Sequence[Line]) -> np.ndarray:
     return np.concatenate([np.zeros(0, bool), *result])
 
 
-def _longest(link_m: np.ndarray, normal: np.ndarray, settings: Drawing) -> tuple[Line, np.ndarray]:
-    """(the line across a normal that divides the most of the links (l, 2, 2) that go along the normal, those of them
-    that are side by side)."""
-    low, high = (link_m @ normal).T
-    rows = np.flatnonzero(low < high)
-    order = np.argsort(np.concatenate([low[rows], high[rows]]), kind="stable")
-    if not len(rows):
-        return Line(normal, 0.0), rows
-    at = np.concatenate([low[rows], high[rows]])[order]
-    most = int(np.cumsum(np.where(order < len(rows), 1, -1)).argmax())
-    line = Line(normal, float(at[most : most + 2].mean()))
-    rows = rows[(low[rows] <= line.offset_m) & (high[rows] >= line.offset_m)]
-    place_m = link_m[rows].mean(axis=1) @ line.direction
-    order = np.argsort(place_m, kind="stable")
-    runs = np.split(rows[order], np.flatnonzero(np.diff(place_m[order]) > settings.near_m) + 1)
-    run = max(runs, key=len)
-    return line.along(link_m[run].reshape(-1, 2), settings.reach_m), run
+def _longest(link_m: np.ndarray, normals: np.ndarray, settings: Drawing) -> tuple[Line, np.ndarray]:
+    """(the line across one of some normals (d, 2) that divides the most of the links (l, 2, 2) that go along the normal
+    and are side by side; their rows)."""
+    off_m = link_m @ normals.T
+    goes_along = (off_m[:, 0] < off_m[:, 1]).astype(int)
+    at_m, change = np.concatenate([off_m[:, 0], off_m[:, 1]]), np.concatenate([goes_along, -goes_along])
+    order = np.argsort(at_m, axis=0, kind="stable")
+    num = np.cumsum(np.take_along_axis(change, order, 0), axis=0)
+    line, run, most = Line(normals[0], 0.0), np.zeros(0, int), num.max(axis=0)
+    for k in np.argsort(-most, kind="stable").tolist():
+        if most[k] <= len(run):
+            break
+        here = num[:, k].argmax()
+        offset_m = float(at_m[order[here : here + 2, k], k].mean())
+        low_m, high_m = off_m[:, :, k].T
+        rows = np.flatnonzero((low_m < high_m) & (low_m <= offset_m) & (high_m >= offset_m))
+        across = Line(normals[k], offset_m)
+        place_m = link_m[rows].mean(axis=1) @ across.direction
+        order_k = np.argsort(place_m, kind="stable")
+        runs = np.split(rows[order_k], np.flatnonzero(np.diff(place_m[order_k]) > settings.near_m) + 1)
+        longest = max(runs, key=len)
+        if len(longest) > len(run):
+            line, run = across.along(link_m[longest].reshape(-1, 2), settings.reach_m), longest
+    return line, run
+
+
+def _normals(directions: Sequence[float]) -> np.ndarray:
+    """(4 d, 2), the unit vectors along some directions, in radians, across them, and both backwards."""
+    turned = np.add.outer(directions, np.arange(4) * np.pi / 2).ravel()
+    return np.column_stack([np.cos(turned), np.sin(turned)])
 
 
 def _between(
@@ -234,8 +242,7 @@ def _between(
     high_m = (np.maximum.reduceat(place_m, first) + settings.reach_m).tolist()
     shown = meet[of_pair[is_near][first]]
     ends = zip(shown[:, :2], (-shown[:, 2]).tolist(), low_m, high_m, strict=True)
-    turned = np.add.outer(along, np.arange(4) * np.pi / 2).ravel()
-    normal = np.column_stack([np.cos(turned), np.sin(turned)])
+    normal = _normals(along)
     num_off = np.bincount(side[is_off], minlength=2 * len(pair)).reshape(-1, 2)
     borders = np.split(border_m[is_off], np.cumsum(num_off.sum(axis=1))[:-1])
     steps = list[Line]()
