@@ -241,6 +241,8 @@ def test_a_scene_is_closed_with_its_files_and_reading_one_gives_the_same_meshes(
         again.points("a")
     with pytest.raises(p2wss.InputError, match="needs a reconstruction"):
         again.write(tmp_path, ["gpkg"])
+    with pytest.raises(p2wss.InputError, match="name a folder"):
+        again.write(tmp_path / "copy.obj", ["obj"])
 
 
 def test_outlines_of_an_array() -> None:

@@ -9,9 +9,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 from p2wss.cli.common import bounds_of_tile, log
-from p2wss.config import TABLES_AND_MODELS, Config, DeviceName
+from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config, DeviceName
 from p2wss.nets import weights_file
 from p2wss.storage.errors import InputError
+from p2wss.storage.files import check_folder
 
 
 def check(
@@ -46,10 +47,11 @@ def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
 
 
 def check_out(out: Path, config: Config) -> None:
-    """Raise :class:`InputError` if ``out`` is not a folder, or no file can be written there, ``ModuleNotFoundError``
-    for a format that needs a package that is missing."""
+    """Raise :class:`InputError` if ``out`` is no folder, or named as a file, or no file can be written there,
+    ``ModuleNotFoundError`` for a format that needs a package that is missing."""
     if config.reconstruct.writes_parquet:
         import pyarrow.parquet  # noqa: F401
+    check_folder(out, OUTPUT_SUFFIXES.values())
     folder = existing_folder(out)
     if not folder.is_dir():
         raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")

@@ -22,7 +22,7 @@ import pyproj
 import shapely
 
 from p2wss.clouds.crops import crop_cloud
-from p2wss.config import CLASSES_ALONE, Config, DeviceName, load, section_json
+from p2wss.config import CLASSES_ALONE, OUTPUT_SUFFIXES, Config, DeviceName, load, section_json
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import class_set
@@ -299,7 +299,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Raises
         ------
         InputError
-            If a file cannot be written.
+            If a file cannot be written, or the folder is not there and is named as a file.
         """
         settings = self.config.reconstruct
         if formats is not None:
@@ -307,6 +307,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             settings = settings.model_copy(update={"outputs": checked})
         folder, name = Path(folder), name or self.name
         files.check_stem(name)
+        files.check_folder(folder, OUTPUT_SUFFIXES.values())
         if settings.writes_parquet:  # or no file is
             import pyarrow.parquet  # noqa: F401
         if self._run is not None:

@@ -290,6 +290,14 @@ def check_stem(name: str) -> None:
         raise InputError(f"name {name}: must be that of a file without ending, and no folder")
 
 
+def check_folder(folder: Path, endings: Iterable[str]) -> None:
+    """Raise :class:`InputError` for a folder that is not there and is named as one of the files in it would be."""
+    if folder.name.lower().endswith(tuple(endings)) and not folder.exists():
+        raise InputError(
+            f"{folder}: results are several files; name a folder; --name, name= in Python, is of the files"
+        )
+
+
 def write_text(path: str | Path, text: str | Iterable[str]) -> None:
     """Write a text file, of one text or of pieces that follow each other."""
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
