@@ -22,8 +22,6 @@ _PARALLEL, _SLOPED = 0.06, 0.05
 # metres: a larger step between two planes is one
 _STEP_M = 0.25
 _MIN_BORDER = 3
-# products of links and lines at once
-_MAX_PRODUCTS = 1_000_000
 # metres: what is so near to a line is on it
 _ON_M = 1e-3
 # metres: as they are, 39 of 6,000 grids in whole millimetres fail; moved by this, none
@@ -169,18 +167,9 @@ def _parts_of_borders(
 
 def _are_divided(link_m: np.ndarray, lines: Sequence[Line]) -> np.ndarray:
     """bool (l,), which links (l, 2, 2) a line divides."""
-    if not lines:
-        return np.zeros(len(link_m), bool)
-    normal, offset_m = as_arrays(lines)
-    low_m, high_m = np.array([(line.low_m, line.high_m) for line in lines]).T
-    num = max(1, _MAX_PRODUCTS // len(lines))
-    result = []
-    for first in range(0, len(link_m), num):
-        off_m = link_m[first : first + num] @ normal.T - offset_m
-        place_m = cross(normal, link_m[first : first + num, :, None])
-        is_beside = (place_m.max(axis=1) > low_m) & (place_m.min(axis=1) < high_m)
-        result.append((is_beside & (off_m.prod(axis=1) < 0)).any(axis=1))
-    return np.concatenate([np.zeros(0, bool), *result])
+    result, tree = np.zeros(len(link_m), bool), shapely.STRtree(shapely.linestrings(link_m))
+    result[tree.query(shapely.linestrings(ends_of(lines)), predicate="intersects")[1]] = True
+    return result
 
 
 def _longest(link_m: np.ndarray, normals: np.ndarray, settings: Drawing) -> tuple[Line, np.ndarray]:
