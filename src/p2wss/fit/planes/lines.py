@@ -167,7 +167,8 @@ def _parts_of_borders(
 
 def _are_divided(link_m: np.ndarray, lines: Sequence[Line]) -> np.ndarray:
     """bool (l,), which links (l, 2, 2) a line divides."""
-    result, tree = np.zeros(len(link_m), bool), shapely.STRtree(shapely.linestrings(link_m))
+    result = np.zeros(len(link_m), bool)
+    tree = shapely.STRtree(np.asarray(shapely.linestrings(link_m), object))
     result[tree.query(shapely.linestrings(ends_of(lines)), predicate="intersects")[1]] = True
     return result
 
