@@ -177,7 +177,12 @@ def main() -> int:
     figures = Figures()
     has_roofer = shutil.which("roofer") is not None
     if has_roofer:
-        version = subprocess.run(["roofer", "--version"], capture_output=True, text=True).stdout.strip()
+        version = subprocess.run(
+            ["roofer", "--version"],
+            capture_output=True,
+            text=True,
+            cwd=tempfile.gettempdir(),  # it writes a log
+        ).stdout.strip()
         print(f"Roofer: {version}; load of the machine before: {os.getloadavg()[0]:.1f}")
     else:
         print("roofer is not on the PATH: nothing to compare with, its columns stay empty")
