@@ -82,8 +82,8 @@ def lines_of(
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
     edges = edges_of(rings)
-    pair, of_pair, link = _links(label, point_m, settings.near_m)
-    meets, steps = _between(plane, pair, of_pair, link, point_m, along, settings)
+    links = _links(label, point_m, settings.near_m)
+    meets, steps = _between(plane, links, point_m, along, settings)
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     own = np.where(is_sloped, bearings(plane[:, :2]), along[0])
     axes = np.column_stack([np.cos(own), np.sin(own), -np.sin(own), np.cos(own)]).reshape(-1, 2)
@@ -97,9 +97,7 @@ def lines_of(
         for (edge, goes_on), ends_m in zip(edges, edge_ends(rings), strict=True)
         if goes_on
     ]
-    steps += _parts_of_borders(
-        plane, pair, of_pair, link, point_m, own, [*meets, *steps, *going_on], along, settings
-    )
+    steps += _parts_of_steps(plane, links, point_m, own, [*meets, *steps, *going_on], along, settings)
     meets, steps = (_into_shadow(each, point_m, settings) for each in (meets, steps))
     snapped = _snapped(steps, [edge for edge, _ in edges], settings)
     steps = snapped + going_on
@@ -127,11 +125,18 @@ def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) 
     ]
 
 
-def _parts_of_borders(
+class _Links(NamedTuple):
+    """Between points of two planes that are side by side. pair: (p, 2), planes. of_pair: (l,). row: (l, 2), of the
+    points, in the order of the planes."""
+
+    pair: np.ndarray
+    of_pair: np.ndarray
+    row: np.ndarray
+
+
+def _parts_of_steps(
     plane: np.ndarray,
-    pair: np.ndarray,
-    of_pair: np.ndarray,
-    link: np.ndarray,
+    links: _Links,
     point_m: np.ndarray,
     own: np.ndarray,
     lines: Sequence[Line],
@@ -141,13 +146,14 @@ def _parts_of_borders(
     """Lines along the parts of steps that turn, as around a corner of the higher roof: those that divide the most of
     the links that no other line divides. own: (k,), the directions of the planes; other arguments as of
     :func:`_between`."""
-    middle_m = point_m[link, :2].mean(axis=1)
+    pair, of_pair, row = links
+    middle_m = point_m[row, :2].mean(axis=1)
     slope, height_m = np.split(plane[pair[:, 0]] - plane[pair[:, 1]], [2], axis=1)
     is_step = np.abs((slope[of_pair] * middle_m).sum(axis=1) + height_m[of_pair, 0]) > _STEP_M
     is_step &= (np.bincount(of_pair[is_step], minlength=len(pair)) >= settings.part_links)[of_pair]
     if not is_step.any():
         return []
-    of_pair, link_m = of_pair[is_step], point_m[link[is_step], :2]
+    of_pair, link_m = of_pair[is_step], point_m[row[is_step], :2]
     is_open = ~_are_divided(link_m, lines)
     of_pair, link_m, result = of_pair[is_open], link_m[is_open], list[Line]()
     for number in np.flatnonzero(np.bincount(of_pair) >= settings.part_links).tolist():
@@ -206,17 +212,10 @@ def _normals(directions: Sequence[float]) -> np.ndarray:
 
 
 def _between(
-    plane: np.ndarray,
-    pair: np.ndarray,
-    of_link: np.ndarray,
-    link: np.ndarray,
-    point_m: np.ndarray,
-    along: Sequence[float],
-    settings: Drawing,
+    plane: np.ndarray, links: _Links, point_m: np.ndarray, along: Sequence[float], settings: Drawing
 ) -> tuple[list[Line], list[Line]]:
-    """(lines on which planes side by side meet, lines of steps between them). pair, of_link, link: as of
-    :func:`_links`; other arguments as of :func:`lines_of`."""
-    side, border_m = _borders(of_link, link, point_m)
+    """(lines on which planes side by side meet, lines of steps between them); arguments as of :func:`lines_of`."""
+    (side, border_m), pair = _borders(links, point_m), links.pair
     of_pair, (x, y) = side // 2, border_m.T
     slope = plane[pair[:, 0]] - plane[pair[:, 1]]
     fold = np.hypot(slope[:, 0], slope[:, 1])
@@ -265,25 +264,22 @@ def _shake_m(size: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (size, 2))
 
 
-def _borders(of_pair: np.ndarray, link: np.ndarray, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _borders(links: _Links, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(sides (m,), places (m, 2)) of points of one plane that are beside a point of another. Sides ascend: ``2 k`` at
     the first plane of pair k, ``2 k + 1`` at the second."""
     size = len(point_m)
-    side, row = np.divmod(distinct((2 * of_pair[:, None] + [0, 1]) * size + link), size)
+    side, row = np.divmod(distinct((2 * links.of_pair[:, None] + [0, 1]) * size + links.row), size)
     return side, point_m[row, :2]
 
 
-def _links(
-    label: np.ndarray, point_m: np.ndarray, near_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(pairs of planes (p, 2); of each link between points of two planes that are side by side its pair (l,); the rows
-    of its points (l, 2), in the order of the planes)."""
+def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
+    """Of Delaunay's triangles over all points; those of up to ``near_m``."""
     rows = np.flatnonzero(label >= 0)
     # of points at one place the first
     rows = rows[np.lexsort((point_m[rows, 1], point_m[rows, 0]))]
     rows = rows[np.append(True, (point_m[rows[1:], :2] != point_m[rows[:-1], :2]).any(axis=1))[: len(rows)]]
     if len(rows) < 4:
-        return np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2), int)
+        return _Links(np.zeros((0, 2), int), np.zeros(0, int), np.zeros((0, 2), int))
     # GEOS fails on some regular grids, so that each point is moved a little
     site_m = point_m[rows, :2] + _shake_m(1 << len(rows).bit_length())[: len(rows)]
     links, x_m = [], point_m[rows, 0]
@@ -304,7 +300,7 @@ def _links(
     link = np.where(label[link[:, :1]] < label[link[:, 1:]], link, link[:, ::-1])
     size = len(label)
     pairs, pair_of = numbered(label[link] @ [size, 1])
-    return np.column_stack(np.divmod(pairs, size)), pair_of, link
+    return _Links(np.column_stack(np.divmod(pairs, size)), pair_of, link)
 
 
 def _steps(both: np.ndarray, num_one: int, normal: np.ndarray, settings: Drawing) -> list[Line]:

@@ -910,9 +910,9 @@ def test_points_on_a_regular_grid_have_borders() -> None:
         shapely.delaunay_triangles(shapely.MultiPoint(xy_m))
     label = (x.ravel() > 1.7).astype(int)
     point_m = np.column_stack([xy_m, label])
-    pair, *links = lines._links(label, point_m, 0.4)
-    side, _ = lines._borders(*links, point_m)
-    assert pair.tolist() == [[0, 1]] and np.bincount(side).tolist() == [12, 12]
+    links = lines._links(label, point_m, 0.4)
+    side, _ = lines._borders(links, point_m)
+    assert links.pair.tolist() == [[0, 1]] and np.bincount(side).tolist() == [12, 12]
 
 
 def test_a_step_that_turns_has_a_line_along_each_of_its_parts() -> None:
