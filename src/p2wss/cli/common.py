@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 # buildings to check, and files of earlier runs, that the end of a run names
 NUM_NAMED = 5
 CITY = (".json", ".jsonl")
-# of CityGML, whose reader says how to convert it
-XML = (".gml", ".xml")
 # of footprints without points, beyond which the cloud may be of another place
 MAX_BARE_SHARE = 0.05
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import CITY, XML, city_files, config_option, crs_option, log
+from p2wss.cli.common import CITY, city_files, config_option, crs_option, log
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
@@ -32,7 +32,8 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
     """Show buildings in 3D with points and attributes: one HTML page that needs no internet."""
     cities, clouds = [], []
     for path in paths:
-        if (inside := city_files(path)) or path.suffix in (*CITY, *XML):
+        # of CityGML, the reader says how to convert it
+        if (inside := city_files(path)) or path.suffix in (*CITY, ".gml", ".xml"):
             cities += inside or [path]
         else:
             clouds.append(path)

@@ -20,8 +20,6 @@ from p2wss.skeleton.ordering import sorted_by
 
 _MAX_ROUNDS = 4
 _GAIN_M3 = 1e-6
-# steps to a cell that no path reaches
-_NOT_REACHED = -1
 
 
 def least_cost(costs: Costs, num_known: int = 0) -> np.ndarray:
@@ -355,7 +353,7 @@ def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_p
 class _Work(NamedTuple):
     """Of :func:`_taken`. cells: those that may be taken, then those that are. candidate: of each of them that of the
     plane. is_in: bool (c,), whether a cell is one of them. need_m3: what a cell still costs if it is taken; below 0,
-    what it saves. level: steps to the nearest cell that costs. queue: of cells.
+    what it saves. level: of :func:`_measure`. queue: of cells.
 
     By place in ``side_end``, (2 s,): other, the cell at the other hand; back, the place of the way back; rest_m3, what
     remains of the capacity of the way.
@@ -423,7 +421,7 @@ def _taken(
     _cut(problem, num, work)
     gain_m3 = 0.0
     for cell in cells[:num]:
-        is_in[cell] = level[cell] != _NOT_REACHED
+        is_in[cell] = level[cell] <= num
     num_taken = 0
     for cell in cells[:num]:
         if not is_in[cell]:
@@ -445,8 +443,8 @@ def _taken(
 
 @inner
 def _cut(problem: Problem, num: int, work: _Work) -> None:
-    """Sends as much as possible from cells that save to those that cost, in the end ``level`` is :data:`_NOT_REACHED`
-    for cells that no path from what is left reaches.
+    """Sends as much as possible from cells that save to those that cost; ``level`` is then more than ``num`` for cells
+    that no path from what is left reaches.
 
     Goldberg and Tarjan (A New Approach to the Maximum-Flow Problem, 1988): a cell sends what it has to those beside it
     that are a step nearer to one that costs, from time to time measured anew. Paths are short, as most cells that save
@@ -457,7 +455,7 @@ def _cut(problem: Problem, num: int, work: _Work) -> None:
     far, num_raised = num + 1, num
     while True:
         if num_raised >= num:
-            _measure(problem, num, work)
+            _measure(problem, num, work, np.bool_(False))
             num_raised, head, num_waiting = 0, 0, 0
             for cell in cells[:num]:
                 if need_m3[cell] < -_GAIN_M3 and level[cell] < far:
@@ -484,31 +482,22 @@ def _cut(problem: Problem, num: int, work: _Work) -> None:
                     nearest = min(nearest, level[other] + 1)
             else:
                 level[cell], num_raised = nearest, num_raised + 1
-    num_reached = 0
-    for cell in cells[:num]:
-        level[cell] = _NOT_REACHED
-        if need_m3[cell] < -_GAIN_M3:
-            level[cell], queue[num_reached], num_reached = 0, cell, num_reached + 1
-    head = 0
-    while head < num_reached:
-        cell, head = queue[head], head + 1
-        for way in range(first[cell], first[cell + 1]):
-            if rest_m3[way] > _GAIN_M3 and level[others[way]] == _NOT_REACHED:
-                level[others[way]], queue[num_reached], num_reached = 0, others[way], num_reached + 1
+    _measure(problem, num, work, np.bool_(True))
 
 
 @inner
-def _measure(problem: Problem, num: int, work: _Work) -> None:
-    """The steps from each cell to the nearest one that costs, more than ``num`` where there is no path."""
-    first, level, queue = problem.side_first, work.level, work.queue
+def _measure(problem: Problem, num: int, work: _Work, is_from_start: bool) -> None:
+    """Sets the level of each cell: the steps to it from the nearest one that saves, or else from it to the nearest one
+    that costs; more than ``num`` where there is no path."""
+    first, level, queue, sign = problem.side_first, work.level, work.queue, -1.0 if is_from_start else 1.0
     head, tail = 0, 0
     for cell in work.cells[:num]:
         level[cell] = num + 1
-        if work.need_m3[cell] > _GAIN_M3:
+        if sign * work.need_m3[cell] > _GAIN_M3:
             level[cell], queue[tail], tail = 0, cell, tail + 1
     while head < tail:
         cell, head = queue[head], head + 1
-        for way in range(first[cell], first[cell + 1]):
-            other = work.other[way]
-            if work.is_in[other] and level[other] > num and work.rest_m3[work.back[way]] > _GAIN_M3:
+        for place in range(first[cell], first[cell + 1]):
+            other, way = work.other[place], place if is_from_start else work.back[place]
+            if work.is_in[other] and level[other] > num and work.rest_m3[way] > _GAIN_M3:
                 level[other], queue[tail], tail = level[cell] + 1, other, tail + 1

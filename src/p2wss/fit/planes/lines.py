@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from p2wss.fit.directions import edge_ends
+from p2wss.fit.planes.detection import height_over
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
@@ -144,12 +145,11 @@ def _parts_of_steps(
     settings: Drawing,
 ) -> list[Line]:
     """Lines along the parts of steps that turn, as around a corner of the higher roof: those that divide the most of
-    the links that no other line divides. own: (k,), the directions of the planes; other arguments as of
-    :func:`_between`."""
+    the links that no other line divides. own: (k,), the directions of the planes. lines: the others. The rest as of
+    :func:`lines_of`."""
     pair, of_pair, row = links
     middle_m = point_m[row, :2].mean(axis=1)
-    slope, height_m = np.split(plane[pair[:, 0]] - plane[pair[:, 1]], [2], axis=1)
-    is_step = np.abs((slope[of_pair] * middle_m).sum(axis=1) + height_m[of_pair, 0]) > _STEP_M
+    is_step = np.abs(height_over(plane[pair[:, 0]] - plane[pair[:, 1]], of_pair, middle_m)) > _STEP_M
     is_step &= (np.bincount(of_pair[is_step], minlength=len(pair)) >= settings.part_links)[of_pair]
     if not is_step.any():
         return []
@@ -197,8 +197,8 @@ def _longest(link_m: np.ndarray, normals: np.ndarray, settings: Drawing) -> tupl
         rows = np.flatnonzero((low_m < high_m) & (low_m <= offset_m) & (high_m >= offset_m))
         across = Line(normals[k], offset_m)
         place_m = link_m[rows].mean(axis=1) @ across.direction
-        order_k = np.argsort(place_m, kind="stable")
-        runs = np.split(rows[order_k], np.flatnonzero(np.diff(place_m[order_k]) > settings.near_m) + 1)
+        by_place = np.argsort(place_m, kind="stable")
+        runs = np.split(rows[by_place], np.flatnonzero(np.diff(place_m[by_place]) > settings.near_m) + 1)
         longest = max(runs, key=len)
         if len(longest) > len(run):
             line, run = across.along(link_m[longest].reshape(-1, 2), settings.reach_m), longest
