@@ -52,7 +52,7 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
         part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, np.bool_(True), slots)
         before_m3 = total_m3(part, prices, old)
         part.is_barred[lines == line] = True
-        new = _with_fewer_faces(part, prices, _relabelled(part, prices, ZERO))
+        new = _with_fewer_faces(part, prices, _expanded(part, prices, old, ZERO))
         if total_m3(part, prices, new) < before_m3 - _GAIN_M3:
             choice[cells], problem.is_barred[line] = origin[new[: len(cells)]], True
             label = problem.number[choice]
@@ -135,7 +135,7 @@ def _part(
     """(the problem of some cells alone, its choice today, its candidates and lines as the problem numbers them, a cell
     of each face around). Its candidates are the planes around, and with keeps_own those of the choice today.
 
-    The choice today is of further candidates, behind those of all cells, as it may be of planes that are not around.
+    Behind those of all cells are further candidates, the choice today, as it may be of planes that are not around.
     """
     num_free, num_sides = len(cells), len(problem.pair)
     num_ends = 0
@@ -180,16 +180,18 @@ def _part(
     planes = np.sort(planes[:num_planes])
     slots.plane[planes] = np.arange(num_planes)
     first, origin = np.zeros(len(everything) + 1, np.int64), np.empty(num_candidates + num_free, np.int64)
-    of_cell, count = np.empty(num_candidates + num_free, np.int64), 0
+    of_cell, count, old = np.empty(num_candidates + num_free, np.int64), 0, np.full(len(everything), -1)
     for k, cell in enumerate(everything):
         for t in range(problem.first[cell], problem.first[cell + 1]):
             is_own = t == choice[cell] if k >= num_free else slots.is_around[problem.number[t]]
             if is_own:
+                if t == choice[cell]:
+                    old[k] = count
                 origin[count], of_cell[count], count = t, k, count + 1
         first[k + 1] = count
     origin[count:], of_cell[count:] = choice[cells], np.arange(num_free)
     number, cell_m3 = slots.plane[problem.number[origin]], problem.cell_m3[origin]
-    old = np.concatenate((np.arange(count, count + num_free), first[num_free:-1]))
+    old = np.where(old < 0, count + np.arange(len(old)), old)
     slots.plane[planes], slots.is_around[planes] = -1, False
     # lines, and what steps each has elsewhere
     line, lines, outside_m, num_lines = problem.line[side], np.empty(num, np.int64), np.empty(num), 0
@@ -406,23 +408,30 @@ def _taken(
     for cell in cells[:num]:
         for place in range(problem.side_first[cell], problem.side_first[cell + 1]):
             way, other, own = problem.side_end[place], work.other[place], number[choice[cell]]
+            if is_in[other] and way >= num_sides:
+                continue
             side, theirs = way % num_sides, number[choice[other]]
             only_one = side_m3(problem, prices, side, plane, theirs)
             neither = side_m3(problem, prices, side, own, theirs)
             if not is_in[other]:
                 need_m3[cell] += only_one - neither
                 rest_m3[place] = 0.0
-            elif way < num_sides:
-                only_other = side_m3(problem, prices, side, own, plane)
-                need_m3[cell] += only_one - neither
-                need_m3[other] -= only_one
-                # a bound where two planes side by side cost more than both by way of a third one
-                rest_m3[place], rest_m3[work.back[place]] = 0.0, max(only_other + only_one - neither, 0.0)
-    _cut(problem, num, work)
-    gain_m3 = 0.0
+            else:
+                only_other = only_one if own == theirs else side_m3(problem, prices, side, own, plane)
+                # half of what the two cost more apart than together, as flow either way. 0 is a bound where two planes
+                # side by side cost more than both by way of a third one
+                apart_m3 = max(only_other + only_one - neither, 0.0) / 2
+                need_m3[cell] += only_one - neither - apart_m3
+                need_m3[other] += apart_m3 - only_one
+                rest_m3[place] = rest_m3[work.back[place]] = apart_m3
+    saves = False
     for cell in cells[:num]:
-        is_in[cell] = level[cell] <= num
-    num_taken = 0
+        saves |= need_m3[cell] < -_GAIN_M3
+    if saves:
+        _cut(problem, num, work)
+    gain_m3, num_taken = 0.0, 0
+    for cell in cells[:num]:
+        is_in[cell] = saves and level[cell] <= num
     for cell in cells[:num]:
         if not is_in[cell]:
             continue
@@ -453,35 +462,37 @@ def _cut(problem: Problem, num: int, work: _Work) -> None:
     first, level, queue, cells = problem.side_first, work.level, work.queue, work.cells
     need_m3, rest_m3, others, back = work.need_m3, work.rest_m3, work.other, work.back
     far, num_raised = num + 1, num
-    while True:
+    for cell in cells[:num]:
+        # no cell can be nearer
+        level[cell] = 0 if need_m3[cell] > _GAIN_M3 else 1
+    while num_raised >= num:
+        num_raised, head, num_waiting = 0, 0, 0
+        for cell in cells[:num]:
+            if need_m3[cell] < -_GAIN_M3 and level[cell] < far:
+                queue[num_waiting], num_waiting = cell, num_waiting + 1
+        while num_waiting and num_raised < num:
+            cell = queue[head]
+            head, num_waiting = (head + 1) % num, num_waiting - 1
+            while need_m3[cell] < -_GAIN_M3 and level[cell] < far:
+                nearest = far
+                for way in range(first[cell], first[cell + 1]):
+                    other = others[way]
+                    if rest_m3[way] > _GAIN_M3 and level[other] < level[cell]:
+                        flow_m3, has_none = min(rest_m3[way], -need_m3[cell]), need_m3[other] >= -_GAIN_M3
+                        rest_m3[way] -= flow_m3
+                        rest_m3[back[way]] += flow_m3
+                        need_m3[cell] += flow_m3
+                        need_m3[other] -= flow_m3
+                        if has_none and need_m3[other] < -_GAIN_M3:
+                            queue[(head + num_waiting) % num], num_waiting = other, num_waiting + 1
+                        if need_m3[cell] >= -_GAIN_M3:
+                            break
+                    if rest_m3[way] > _GAIN_M3:
+                        nearest = min(nearest, level[other] + 1)
+                else:
+                    level[cell], num_raised = nearest, num_raised + 1
         if num_raised >= num:
             _measure(problem, num, work, np.bool_(False))
-            num_raised, head, num_waiting = 0, 0, 0
-            for cell in cells[:num]:
-                if need_m3[cell] < -_GAIN_M3 and level[cell] < far:
-                    queue[num_waiting], num_waiting = cell, num_waiting + 1
-        if not num_waiting:
-            break
-        cell = queue[head]
-        head, num_waiting = (head + 1) % num, num_waiting - 1
-        while need_m3[cell] < -_GAIN_M3 and level[cell] < far:
-            nearest = far
-            for way in range(first[cell], first[cell + 1]):
-                other = others[way]
-                if rest_m3[way] > _GAIN_M3 and level[other] < level[cell]:
-                    flow_m3, has_none = min(rest_m3[way], -need_m3[cell]), need_m3[other] >= -_GAIN_M3
-                    rest_m3[way] -= flow_m3
-                    rest_m3[back[way]] += flow_m3
-                    need_m3[cell] += flow_m3
-                    need_m3[other] -= flow_m3
-                    if has_none and need_m3[other] < -_GAIN_M3:
-                        queue[(head + num_waiting) % num], num_waiting = other, num_waiting + 1
-                    if need_m3[cell] >= -_GAIN_M3:
-                        break
-                if rest_m3[way] > _GAIN_M3:
-                    nearest = min(nearest, level[other] + 1)
-            else:
-                level[cell], num_raised = nearest, num_raised + 1
     _measure(problem, num, work, np.bool_(True))
 
 
