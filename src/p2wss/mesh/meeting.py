@@ -7,9 +7,9 @@ from collections.abc import Collection
 import numpy as np
 
 from p2wss.mesh.mesh import Mesh
-from p2wss.skeleton.compiled import both, entry, inner
-from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import FaceKind, distinct, numbered, writable
+from p2wss.skeleton.compiled import allocating, both, entry, inner
+from p2wss.skeleton.groups import grouped
+from p2wss.skeleton.types import FaceKind, distinct, writable
 
 # what moves by less than this stays, to the bit
 _EXACT_M = 1e-6
@@ -67,60 +67,117 @@ def with_meeting_planes(
     is_free = np.zeros(num, bool)
     is_free[[*free]] = True
     vertex_m = writable(mesh.vertex_m, np.float64)
-    row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free, turns)
-    first, at = np.arange(len(vertex_m)), vertex
+    first, at, plane_at = np.arange(len(vertex_m)), vertex, plane
     if more or (place != first).any():
         # any vertex of a place tells where its planes are, as they are linear
         _, first, place = np.unique(place, return_index=True, return_inverse=True)
         further = np.array(list(more), int).reshape(-1, 2)
         pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
-        at, plane = np.divmod(distinct(pairs), num)
-    point_m = np.column_stack([mesh.vertex_m[first], np.ones(len(first))])
-    moves = np.asarray(scale.any(axis=(1, 2)))
-    can_move = np.full(len(first), not corners_stay)
-    can_move[at[moves[plane]]] = True
-    apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
+        at, plane_at = np.divmod(distinct(pairs), num)
     counts = np.ones(len(first), bool) if only is None else np.bincount(place, weights=only) > 0
-    is_off = (apart_m >= _EXACT_M) & counts
-    if is_off.any():
-        is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), bool))
-        # places where planes depend on each other, as more meet than a point needs
-        is_place = np.zeros(len(first), bool)
-        is_place[at[is_linked]] = True
-        here = is_place[at]
-        num_spare = np.bincount(at[here], minlength=len(first))
-        num_spare[is_place] -= _inverses(row, at[here], plane[here])[1]
-        is_linked = _is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
-        part = groups(num + len(first), np.column_stack([plane, num + at])[is_linked])
-        is_wrong = np.bincount(part[num:][is_off], minlength=part.max() + 1) > 0
-        together = np.where(is_wrong, np.cumsum(np.bincount(part) * is_wrong) // _TOGETHER, -1)[part]
-        for number in distinct(together[together >= 0]).tolist():
-            is_own, is_here = moves & (together[:num] == number), together[num:] == number
-            is_here[at[is_own[plane]]] = True
-            here, own_at = numbered(at[is_here[at]])
-            counts[here] = True
-            point_m[here] = _met(row, scale, is_own, point_m[here], own_at, plane[is_here[at]])
-        apart_m = np.where(can_move, _apart_m(row, point_m, at, plane), 0.0)
-    apart_m = np.where(counts, apart_m, 0.0)
+    row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free, turns)
+    point_m, apart_m = _points(vertex_m[first], row, scale, at, plane_at, counts, corners_stay)
     moved_m = point_m[place, :3]
     stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
     moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
     return moved, apart_m[place]
 
 
+@entry
+def _points(
+    first_m: np.ndarray,
+    row: np.ndarray,
+    scale: np.ndarray,
+    at: np.ndarray,
+    plane: np.ndarray,
+    counts: np.ndarray,
+    corners_stay: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(points (n, 4), with a 1, where planes meet, how far they are from each, (n,)). first_m: (n, 3), where the points
+    are today. at, plane: pairs of places and planes, ascending. counts: bool (n,), of which places planes shall meet;
+    those around are added."""
+    num, num_planes = len(first_m), len(row)
+    point_m, moves, can_move = np.ones((num, 4)), np.zeros(num_planes, np.bool_), np.zeros(num, np.bool_)
+    point_m[:, :3] = first_m
+    for p in range(num_planes):
+        moves[p] = (scale[p] != 0).any()
+    for k, place in enumerate(at):
+        can_move[place] |= moves[plane[k]] or not corners_stay
+    apart_m = _apart_m(row, point_m, at, plane)
+    is_off = can_move & counts & (apart_m >= _EXACT_M)
+    if is_off.any():
+        together = _together(row, at, plane, moves, is_off)
+        is_own, is_here, here = (
+            np.empty(num_planes, np.bool_),
+            np.empty(num, np.bool_),
+            np.empty(num, np.int64),
+        )
+        for number in range(together.max() + 1):
+            is_own[:] = moves & (together[:num_planes] == number)
+            if not is_own.any():
+                continue
+            is_here[:] = together[num_planes:] == number
+            for k, place in enumerate(at):
+                is_here[place] |= is_own[plane[k]]
+            own = is_here[at]
+            own_at, own_plane, count = at[own], plane[own], 0
+            for k, place in enumerate(own_at):
+                if not count or here[count - 1] != place:
+                    here[count], counts[place], count = place, True, count + 1
+                own_at[k] = count - 1
+            point_m[here[:count]] = _met(row, scale, is_own, point_m[here[:count]], own_at, own_plane)
+        apart_m = _apart_m(row, point_m, at, plane)
+    return point_m, np.where(can_move & counts, apart_m, 0.0)
+
+
+@allocating
+def _together(
+    row: np.ndarray, at: np.ndarray, plane: np.ndarray, moves: np.ndarray, is_off: np.ndarray
+) -> np.ndarray:
+    """int (p + n,): planes and places with the same number depend on each other, where some do not meet, bool (n,), and
+    are few; -1 for all others."""
+    num, num_planes = len(is_off), len(moves)
+    is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), np.bool_))
+    # places where planes depend on each other, as more meet than a point needs
+    is_place = np.zeros(num, np.bool_)
+    for place in at[is_linked]:
+        is_place[place] = True
+    here = is_place[at]
+    num_spare, rank, count = np.zeros(num, np.int64), _inverses(row, at[here], plane[here])[1], 0
+    for place in at[here]:
+        num_spare[place] += 1
+    for place in np.flatnonzero(is_place):
+        num_spare[place], count = num_spare[place] - rank[count], count + 1
+    is_linked = _is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
+    part = grouped(num_planes + num, np.column_stack((plane[is_linked], num_planes + at[is_linked])))
+    size, is_wrong = np.zeros(part.max() + 1, np.int64), np.zeros(part.max() + 1, np.bool_)
+    for k, number in enumerate(part):
+        size[number] += 1
+        if k >= num_planes:
+            is_wrong[number] |= is_off[k - num_planes]
+    return np.where(is_wrong, np.cumsum(size * is_wrong) // _TOGETHER, -1)[part]
+
+
+@both
 def _is_near(
     is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray, is_link: np.ndarray
 ) -> np.ndarray:
     """bool (k,): which pairs of a place and a plane that moves are few links away from where planes do not meet, bool
     (n,): a change fades with the planes between, so that further ones stay. is_link: which pairs are links."""
     # a plane with many places moves only for its own
-    is_small = (np.bincount(plane, ~is_off[at]) < _MANY_PLACES)[plane] | is_off[at]
-    is_link, is_near = is_link & moves[plane] & is_small, is_off.copy()
+    num_places = np.zeros(len(moves), np.int64)
+    for k, place in enumerate(at):
+        num_places[plane[k]] += not is_off[place]
+    is_near, is_moved, result = is_off.copy(), np.zeros(len(moves), np.bool_), is_link & moves[plane]
+    for k, place in enumerate(at):
+        result[k] &= is_off[place] or num_places[plane[k]] < _MANY_PLACES
     for _ in range(_NUM_RINGS):
-        is_moved = np.zeros(len(moves), bool)
-        is_moved[plane[is_link & is_near[at]]] = True
-        is_near[at[is_link & is_moved[plane]]] = True
-    return np.asarray(is_link & is_moved[plane] & is_near[at])
+        is_moved[:] = False
+        for k, place in enumerate(at):
+            is_moved[plane[k]] |= result[k] and is_near[place]
+        for k, place in enumerate(at):
+            is_near[place] |= result[k] and is_moved[plane[k]]
+    return result & is_moved[plane] & is_near[at]
 
 
 def planes_around(is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
@@ -213,7 +270,7 @@ def _equations(
     return row, scale
 
 
-@entry
+@allocating
 def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
     """How far the furthest of the planes at each point is from it. point_m: (n, 4), with a 1. at, plane: pairs."""
     result = np.zeros(len(point_m))
@@ -231,6 +288,7 @@ def _off_m(row: np.ndarray, plane: int, point_m: np.ndarray, place: int) -> floa
     return result
 
 
+@allocating
 def _met(
     row: np.ndarray,
     scale: np.ndarray,
@@ -245,18 +303,18 @@ def _met(
     begin = np.searchsorted(at, np.arange(len(point_m) + 1))
     inverse, _ = _inverses(row, at, plane)
     for _ in range(_NUM_ROUNDS):
-        sums = _sums(row, scale, number, point_m, inverse, begin, plane)
-        if sums is None:
+        is_off, pair, share, right = _sums(row, scale, number, point_m, inverse, begin, plane)
+        if not is_off:
             break
-        change = _solved(*sums)
-        if not np.abs(change).max(initial=0.0) < _NO_SOLUTION_M:
-            # the points went further away in each round, or the equations have no solution: these planes do not meet
+        change = _solved(pair, share, right)
+        # else, the points went further away in each round, or the equations have no solution: these planes do not meet
+        if not np.abs(change).max() < _NO_SOLUTION_M:
             break
         inverse = _followed(row, scale, number, change, point_m, begin, at, plane)
     return point_m
 
 
-@both
+@allocating
 def _inverses(row: np.ndarray, at: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(what the products of rows and distances, summed, are multiplied by for the way to where planes meet, (n, 3, 3);
     the number of directions that they determine, (n,)). at, plane: the pairs (k,) of places, ascending, and planes.
@@ -305,7 +363,7 @@ def _inverses(row: np.ndarray, at: np.ndarray, plane: np.ndarray) -> tuple[np.nd
     return inverse, rank
 
 
-@entry
+@allocating
 def _sums(
     row: np.ndarray,
     scale: np.ndarray,
@@ -314,10 +372,10 @@ def _sums(
     inverse: np.ndarray,
     begin: np.ndarray,
     plane: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """(pairs of planes (k, 2), what each adds to the matrix (k, 3, 3), right sides (num, 3)): the normal equations of
-    the changes of planes; None if all planes meet. number: (p,), of each plane that moves, -1 if it stays. begin: where
-    the planes of each point begin in ``plane``."""
+) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
+    """(whether planes do not meet, pairs of planes (k, 2), what each adds to the matrix (k, 3, 3), right sides (num,
+    3)): the normal equations of the changes of planes. number: (p,), of each plane that moves, -1 if it stays. begin:
+    where the planes of each point begin in ``plane``."""
     num_pairs, off_m, is_off = 0, np.empty(len(plane)), False
     lever = np.zeros((len(plane), 3))
     for at in range(len(inverse)):
@@ -330,8 +388,6 @@ def _sums(
                     lever[i, a] += point_m[at, b] * scale[plane[i], b, a]
             is_off |= abs(off_m[i]) >= _EXACT_M
         num_pairs += num_moved * num_moved
-    if not is_off:
-        return None
     pair, share = np.empty((num_pairs, 2), np.int64), np.empty((num_pairs, 3, 3))
     right, count = np.zeros((number.max() + 1, 3)), 0
     for at in range(len(inverse)):
@@ -350,10 +406,10 @@ def _sums(
                 if other >= 0:
                     pair[count, 0], pair[count, 1] = one, other
                     count += 1
-    return pair, share, right
+    return is_off, pair, share, right
 
 
-@entry
+@allocating
 def _followed(
     row: np.ndarray,
     scale: np.ndarray,
@@ -384,7 +440,7 @@ def _followed(
     return inverse
 
 
-@entry
+@both
 def _solved(pair: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The least changes (n, 3) that solve normal equations of :func:`_sums`.
 

@@ -15,7 +15,7 @@ from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.roof.fitter import FittedRoof
-from p2wss.mesh import Mesh, meeting, planar
+from p2wss.mesh import Mesh, planar
 from p2wss.mesh.meeting import _solved, with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
 from p2wss.mesh.rules import crosses_itself
@@ -96,15 +96,12 @@ def test_roofs_far_from_each_other_are_as_alone() -> None:
     assert (moved.vertex_m.reshape(40, -1, 3)[7] == houses[7].vertex_m).all()
 
 
-@pytest.mark.parametrize("change_m", [np.nan, 1e253])
-def test_planes_stay_where_their_changes_have_no_solution(
-    monkeypatch: pytest.MonkeyPatch, change_m: float
-) -> None:
+@pytest.mark.parametrize("bent_m", [1e10, 1e250])
+def test_planes_stay_where_their_changes_are_no_solution(bent_m: float) -> None:
     mesh = hip()
-    bent_m = mesh.vertex_m + np.random.default_rng(0).uniform(-9e-3, 9e-3, mesh.vertex_m.shape) * [0, 0, 1]
-    monkeypatch.setattr(meeting, "_solved", lambda pair, share, right: np.full_like(right, change_m))
-    moved, apart_m = with_meeting_planes(mesh.moved(bent_m), np.arange(len(bent_m)))
-    assert np.abs(moved.vertex_m).max() < 20 and apart_m.max() > 1e-4
+    bent = mesh.vertex_m + np.random.default_rng(0).uniform(-bent_m, bent_m, mesh.vertex_m.shape) * [0, 0, 1]
+    moved, apart_m = with_meeting_planes(mesh.moved(bent), np.arange(len(bent)))
+    assert (moved.vertex_m == bent).all() and apart_m.max() > 1e-4
 
 
 @pytest.mark.parametrize(("num", "num_links"), [(1, 0), (2, 1), (30, 25), (150, 400), (301, 300)])
