@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import shapely
 from drawn_towns.large import LARGE_SWINGS_PER_S, draw_complexes, draw_large
 from drawn_towns.lidar import LIDAR, SWINGS_PER_S, scan_town, write_points
 from drawn_towns.old import draw_old
+from drawn_towns.planes import mesh_of
 from drawn_towns.wings import draw_terraces, draw_wings, true_solids
 from p2wss.formats.cityjson import Metadata, Solid, lines
 from p2wss.storage import files
@@ -57,8 +59,8 @@ def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> l
     if kind == "streets":
         return town
     solids = [
-        Solid.of_triangles(building_id(index), *corners, {"shape": building.kind})
-        for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True))
+        Solid(building_id(index), mesh.vertex_m, mesh.surfaces, {"shape": building.kind})
+        for index, (building, mesh) in enumerate(zip(town, starmap(mesh_of, true_solids(town)), strict=True))
     ]
     metadata = Metadata(int(CRS.removeprefix("EPSG:")))
     files.write_text(folder / ROOFS, "\n".join(lines(solids, metadata)) + "\n")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import manifold3d
 import numpy as np
+from drawn_towns.planes import mesh_of
 
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.roof.fitter import FittedRoof
@@ -45,7 +46,7 @@ def union_or_none(
         return None
     out = simple.to_mesh64()
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
-    mesh = without_straight_vertices(Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32)))
+    mesh = without_straight_vertices(mesh_of(vertex_m, np.array(out.tri_verts, np.int32)))
     if not mesh.is_closed:
         return None
     if mesh.edge_m.min() >= _SHORT_EDGE_M:

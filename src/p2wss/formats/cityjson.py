@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface, doubled_area
 from p2wss.mesh.repair import SCALE_M, stored
 from p2wss.skeleton.types import FaceKind
@@ -48,14 +47,6 @@ class Solid:
     block_vertex_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     block: Sequence[Surface] = ()
     city_type: str = "Building"
-
-    @classmethod
-    def of_triangles(
-        cls, building_id: str, vertex_m: np.ndarray, triangle: np.ndarray, attributes: dict[str, Any]
-    ) -> Solid:
-        """A building of closed triangles (t, 3), whose faces are found (:meth:`p2wss.mesh.Mesh.of_triangles`)."""
-        mesh = Mesh.of_triangles(vertex_m, triangle)
-        return cls(building_id, mesh.vertex_m, mesh.surfaces, attributes)
 
 
 @dataclass(frozen=True)

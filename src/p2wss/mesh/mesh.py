@@ -11,7 +11,6 @@ import numpy as np
 
 from p2wss.mesh import topology
 from p2wss.mesh.faces import Surface, surfaces_of
-from p2wss.mesh.planes import face_planes
 from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.types import FaceKind, Meshes, distinct, numbered
 
@@ -47,11 +46,6 @@ class Mesh:
         vertex_m, triangle, kind, edge = meshes.mesh(index)
         _, label = np.unique(np.column_stack([kind, edge]), axis=0, return_inverse=True)
         return cls(vertex_m, triangle, kind, label.reshape(-1).astype(np.int32))
-
-    @classmethod
-    def of_triangles(cls, vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
-        """A closed mesh whose planes are found from its triangles (:func:`p2wss.mesh.planes.face_planes`)."""
-        return cls(vertex_m, triangle, *face_planes(vertex_m, triangle))
 
     @classmethod
     def empty(cls) -> Mesh:
@@ -92,10 +86,6 @@ class Mesh:
     def translated(self, by_m: Sequence[float] | np.ndarray) -> Mesh:
         """The mesh moved by a vector (3,)."""
         return self.moved(self.vertex_m + np.asarray(by_m))
-
-    def turned(self, rotation: np.ndarray) -> Mesh:
-        """The mesh with x and y in the frame ``xy @ rotation``. rotation: (2, 2)."""
-        return self.moved(np.column_stack([self.vertex_m[:, :2] @ rotation, self.vertex_m[:, 2]]))
 
     def part(self, rows: np.ndarray | slice) -> Mesh:
         """The mesh of some of the triangles, by mask, number or slice, without vertices that they do not use."""

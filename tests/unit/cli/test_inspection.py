@@ -16,6 +16,7 @@ import laspy
 import numpy as np
 import pytest
 import torch
+from drawn_towns.planes import mesh_of
 from places import MINI, SHARED
 from safetensors.torch import save_file
 
@@ -25,7 +26,6 @@ from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Body, frame_around
-from p2wss.mesh import Mesh
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -143,7 +143,7 @@ def test_json(tmp_path: Path) -> None:
 def test_glb(tmp_path: Path) -> None:
     vertex_m = np.add([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [652000.0, 6861000.0, 100.0])
     triangle = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    body = Body.of_building("a", Mesh.of_triangles(vertex_m, triangle))
+    body = Body.of_building("a", mesh_of(vertex_m, triangle))
     (tmp_path / "a.glb").write_bytes(glb([body], frame_around([body], "EPSG:2154"), dict(FACTS)))
     facts = describe(tmp_path / "a.glb")
     assert facts["kind"] == "meshes, binary glTF" and facts["provenance"] == SHOWN

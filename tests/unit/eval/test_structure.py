@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
+from drawn_towns.planes import mesh_of as of_triangles
 from places import ROOT
 
 import p2wss
@@ -20,7 +21,7 @@ HOUSE = [[0, 0], [10, 0], [10, 6], [0, 6]]
 
 
 def mesh_of(body: trimesh.Trimesh) -> Mesh:
-    return Mesh.of_triangles(np.asarray(body.vertices), np.asarray(body.faces).astype(np.int32))
+    return of_triangles(np.asarray(body.vertices), np.asarray(body.faces).astype(np.int32))
 
 
 def box(x: float, width: float, height: float) -> trimesh.Trimesh:

@@ -16,6 +16,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 from all_cases import all_test_cases
+from drawn_towns.planes import mesh_of
 from matplotlib.image import imread
 
 import p2wss
@@ -23,7 +24,6 @@ from p2wss.config import Eval, Reconstruct
 from p2wss.eval import measure, tables
 from p2wss.eval.viewer import MAX_POINTS, choices, viewer
 from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, Viewer, environment, scene_page
-from p2wss.mesh import Mesh
 from p2wss.reconstruction.flat import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
 
@@ -242,7 +242,7 @@ HOSTILE = "</script><script>document.title='owned'</script>"
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four houses in a row: fitting, far from its points, flat, without a mesh."""
     house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
-    mesh = Mesh.of_triangles(house.vertices, np.asarray(house.faces))
+    mesh = mesh_of(house.vertices, np.asarray(house.faces))
     states = [
         (HOSTILE, {"status": "ok", "residual_m": 0.07, "note": float("nan")}),
         ("far", {"status": "ok", "residual_m": 0.6, "not_representable": True}),
@@ -293,7 +293,7 @@ def test_buildings_without_attributes_are_drawn_and_not_while_the_picture_turns(
     browser: Any, tmp_path: Path
 ) -> None:
     house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
-    mesh = Mesh.of_triangles(house.vertices, np.asarray(house.faces))
+    mesh = mesh_of(house.vertices, np.asarray(house.faces))
     points, path = np.zeros((0, 3)), tmp_path / "scene.html"
     place = Place(others=[mesh.translated(np.array([14.0, 0, 0]))])
     shown = [
@@ -355,8 +355,8 @@ def test_a_click_on_a_building_or_its_row_shows_its_attributes(browser: Any, sce
 def street(num_houses: int, **facts: Any) -> str:
     """The page of houses in a row, with a point above each and ground; the last has an outline alone."""
     house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
-    mesh = Mesh.of_triangles(house.vertices, np.asarray(house.faces))
-    flat = Mesh.of_triangles(np.array([[0, 0, 0.3], [10, 0, 0.3], [10, 8, 0.3]]), np.array([[0, 1, 2]]))
+    mesh = mesh_of(house.vertices, np.asarray(house.faces))
+    flat = mesh_of(np.array([[0, 0, 0.3], [10, 0, 0.3], [10, 8, 0.3]]), np.array([[0, 1, 2]]))
     buildings = []
     for number in range(num_houses):
         at = np.array([14.0 * number, 0, 0])
@@ -369,7 +369,7 @@ def street(num_houses: int, **facts: Any) -> str:
         } | facts
         meshes = {key: each.translated(at) for key, each in meshes.items()}
         buildings.append(Shown(f"house {number}", meshes, (at + np.array([5, 4, 12]))[None], np.ones(1), row))
-    ground = Mesh.of_triangles(np.array([[-9.0, -9, 0], [99, -9, 0], [0, 50, 0]]), np.array([[0, 1, 2]]))
+    ground = mesh_of(np.array([[-9.0, -9, 0], [99, -9, 0], [0, 50, 0]]), np.array([[0, 1, 2]]))
     layers = [Layer("m", "Meshes", "#c8603a", True), OUTLINES]
     place = Place(ground=ground, crs="RGF93 v1 / Lambert-93", meanings={"no-points": "there is none"})
     return scene_page("street", ["some"], buildings, layers, place=place)

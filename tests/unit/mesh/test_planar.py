@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn_towns.planes import mesh_of
 from kernel_unions import union
 from toy_roofs import bent_ridge
 
@@ -130,7 +131,7 @@ def test_planes_stay_as_they_are_to_the_bit() -> None:
 def test_walls_bent_within_become_straight() -> None:
     """The step between two roofs ends within two long walls."""
     mesh = boxes(1.0)
-    mesh = Mesh.of_triangles(mesh.vertex_m, mesh.triangle)
+    mesh = mesh_of(mesh.vertex_m, mesh.triangle)
     bent = mesh.vertex_m.copy()
     bent[np.isclose(bent[:, 0], 6)] += [2e-4, 5e-4, 0]
     exact = with_exact_faces(mesh.moved(bent))

@@ -7,9 +7,9 @@ from collections import Counter
 import numpy as np
 import shapely
 from drawn_towns.large import SHAPES, draw_complexes, draw_large
+from drawn_towns.planes import mesh_of
 from drawn_towns.wings import true_solids
 
-from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
 from p2wss.towns.site import BUILDING_CLASS, in_lidar_tile
 
@@ -23,7 +23,7 @@ def test_large_buildings_have_closed_true_roofs_of_many_planes() -> None:
     assert all(in_lidar_tile(each.footprint) for each in town)
     num_planes = []
     for vertex_m, triangle in true_solids(town):
-        solid = Mesh.of_triangles(vertex_m, triangle)
+        solid = mesh_of(vertex_m, triangle)
         assert solid.is_closed
         num_planes.append(np.count_nonzero(~solid.planes.is_wall))
     assert np.median(num_planes) > 20 and max(num_planes) > 45
@@ -38,7 +38,7 @@ def test_complexes_have_closed_true_roofs_of_50_to_300_planes() -> None:
     for seed in (1, 2, 3):
         town = draw_complexes(np.random.Generator(np.random.PCG64(seed)))
         for building, (vertex_m, triangle) in zip(town, true_solids(town), strict=True):
-            solid = Mesh.of_triangles(vertex_m, triangle)
+            solid = mesh_of(vertex_m, triangle)
             assert building.footprint.geom_type == "Polygon" and in_lidar_tile(building.footprint)
             assert solid.is_closed
             num_planes.append(np.count_nonzero(~solid.planes.is_wall))

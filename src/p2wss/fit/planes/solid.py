@@ -21,7 +21,6 @@ from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.planar import without_straight_vertices
-from p2wss.mesh.planes import LEVEL_NZ
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.types import FaceKind, cross, distinct, next_in_ring, numbered
@@ -37,6 +36,8 @@ _MEET_M, _MAX_MOVE_M = 0.06, 0.15
 # how much more exactly edges of the footprint, and lines on which planes meet, determine a vertex than steps do
 _FOOTPRINT_WEIGHT, _MEET_WEIGHT, _KEEP_WEIGHT = 100.0, 30.0, 1e-6
 _PARALLEL = 0.03
+# of the normal of a level roof, the least z
+_LEVEL_NZ = 0.9999
 
 
 def solid_below(
@@ -289,7 +290,7 @@ class _Network:
         triangle = np.concatenate([level, walls]).astype(np.int32)
         if vertex_m[:, 2].min() < 0.0 or not is_closed(vertex_m, triangle):
             return None
-        is_level = 1 / np.sqrt(1 + (self._plane[:, :2] ** 2).sum(axis=1)) > LEVEL_NZ
+        is_level = 1 / np.sqrt(1 + (self._plane[:, :2] ** 2).sum(axis=1)) > _LEVEL_NZ
         # the last one is that of the floor
         kinds = np.append(np.where(is_level, FaceKind.FLAT, FaceKind.ROOF), FaceKind.GROUND)
         kind = np.append(kinds[number], np.full(len(walls), FaceKind.WALL)).astype(np.uint8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from drawn_towns.planes import mesh_of
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
@@ -35,7 +36,7 @@ def test_a_straight_vertex_goes_where_neither_end_sees_the_whole_face() -> None:
     side = [[0, 10, 5], [10, 6, 5], [10, 1, 6]]
     walls = [t for i in range(1, 5) for t in ([i, (i + 1) % 5, i + 5], [(i + 1) % 5, (i + 1) % 5 + 5, i + 5])]
     triangle = np.array(floor + top + side + walls, np.int32)
-    mesh = Mesh.of_triangles(vertex_m, triangle)
+    mesh = mesh_of(vertex_m, triangle)
     assert mesh.is_closed
     assert not is_sound(mesh)
 
