@@ -5,42 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, entry, inner
-from p2wss.skeleton.rings import is_inside, signed_area
+from p2wss.skeleton.rings import are_apart, is_inside, segment_distance_m2, signed_area, to_segment_m2
 
 # nearer than this, edges and faces touch; files store coordinates in steps of a hundredth of a millimetre
 TOUCH_M = 1e-5
-
-
-@inner
-def segment_distance_m2(
-    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
-) -> float:
-    """Squared distance of the segments from a to b and from c to d, all (x, y); 0 where they cross."""
-    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], d[0] - c[0], d[1] - c[1]
-    c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
-    a_side, b_side = vx * (a[1] - c[1]) - vy * (a[0] - c[0]), vx * (b[1] - c[1]) - vy * (b[0] - c[0])
-    if c_side * d_side < 0.0 and a_side * b_side < 0.0:
-        return 0.0
-    near = min(to_segment_m2(a, c, d), to_segment_m2(b, c, d))
-    return min(near, min(to_segment_m2(c, a, b), to_segment_m2(d, a, b)))
-
-
-@inner
-def to_segment_m2(p: tuple[float, float], a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Squared distance of p from the segment from a to b."""
-    ux, uy = b[0] - a[0], b[1] - a[1]
-    length2 = ux * ux + uy * uy
-    share = 0.0
-    if length2 > 0.0:
-        share = min(max(((p[0] - a[0]) * ux + (p[1] - a[1]) * uy) / length2, 0.0), 1.0)
-    dx, dy = p[0] - a[0] - share * ux, p[1] - a[1] - share * uy
-    return dx * dx + dy * dy
-
-
-@inner
-def _are_apart(a: float, b: float, c: float, d: float) -> bool:
-    """Whether the intervals from a to b and from c to d do not touch."""
-    return min(a, b) > max(c, d) + TOUCH_M or min(c, d) > max(a, b) + TOUCH_M
 
 
 @inner
@@ -53,7 +21,7 @@ def _edges_touch(plane_m: np.ndarray, corner: np.ndarray, a: int, b: int, c: int
         far = at_c if corner[d] == corner[a] or corner[d] == corner[b] else at_d
         other = at_a if corner[b] == corner[c] or corner[b] == corner[d] else at_b
         return to_segment_m2(far, at_a, at_b) < touch2 or to_segment_m2(other, at_c, at_d) < touch2
-    if _are_apart(at_a[0], at_b[0], at_c[0], at_d[0]) or _are_apart(at_a[1], at_b[1], at_c[1], at_d[1]):
+    if are_apart(at_a, at_b, at_c, at_d, TOUCH_M):
         return False
     return segment_distance_m2(at_a, at_b, at_c, at_d) < touch2
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.mesh.polygon_kernels import TOUCH_M, segment_distance_m2
+from p2wss.mesh.polygon_kernels import TOUCH_M
 from p2wss.skeleton.compiled import ZERO, entry, inner
+from p2wss.skeleton.rings import segment_distance_m2
 
 # faces at a common edge that enclose a smaller angle, in radians, lie on each other
 _FOLD_RAD = 1e-3

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.groups import groups
+from p2wss.skeleton.groups import find_reverses, groups, num_slots
 from p2wss.skeleton.types import differs, writable
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
 NEXT = np.array([1, 2, 0])
-# by which pairs of vertices are multiplied to spread them over a hash table (Knuth 1973, Fibonacci hashing)
-_SPREAD = -7_046_029_254_386_353_131
 # vertices nearer to each other are one in files
 _WELD_M = 1e-4
 
@@ -32,21 +30,8 @@ def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 @entry
 def _reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The same, by a hash table with open addresses, in which of equal half-edges the first one is."""
-    size = 4
-    while size < 2 * len(start):
-        size *= 2
-    slot, result = np.full(size, -1), np.empty(len(start), np.int64)
-    for is_asked in (False, True):
-        for half in range(len(start)):
-            one, other = (end[half], start[half]) if is_asked else (start[half], end[half])
-            place = (((one << 31) + other) * _SPREAD >> 32) & (size - 1)
-            while slot[place] >= 0 and (start[slot[place]] != one or end[slot[place]] != other):
-                place = (place + 1) & (size - 1)
-            if is_asked:
-                result[half] = slot[place]
-            elif slot[place] < 0:
-                slot[place] = half
+    slot, result = np.empty(num_slots(len(start)), np.int64), np.empty(len(start), np.int64)
+    find_reverses(start, end, slot, result)
     return result
 
 

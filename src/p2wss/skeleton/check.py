@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import inner
+from p2wss.skeleton.groups import find_reverses
 from p2wss.skeleton.records import NUM_CAPS, MeshWork, SkeletonWork, Walls, flat_label, ground_label
 from p2wss.skeleton.status import (
     INSIDE_OUT,
@@ -27,46 +28,16 @@ _AREA_SHARE = 1e-4
 
 
 @inner
-def pair_half_edges(
-    triangle: np.ndarray,
-    num_triangles: int,
-    num_points: int,
-    hash_key: np.ndarray,
-    hash_half: np.ndarray,
-    twin: np.ndarray,
-) -> bool:
+def pair_half_edges(triangle: np.ndarray, num_triangles: int, mesh_work: MeshWork) -> bool:
     """Find the opposite half-edge of every half-edge, numbered ``3 * triangle + corner``. False if an edge has
     none or several."""
-    num_half = 3 * num_triangles
-    size = 64
-    while size < 2 * num_half:
-        size *= 2
-    if size > len(hash_key):
-        return False
-    mask = size - 1
-    for k in range(size):
-        hash_key[k] = -1
+    start, end, twin, num_half = mesh_work.start, mesh_work.end, mesh_work.twin, 3 * num_triangles
     for h in range(num_half):
-        a = triangle[h // 3, h % 3]
-        b = triangle[h // 3, (h + 1) % 3]
-        key = a * num_points + b
-        at = (key * 0x9E3779B1 >> 7) & mask
-        while hash_key[at] >= 0:
-            if hash_key[at] == key:
-                return False
-            at = (at + 1) & mask
-        hash_key[at] = key
-        hash_half[at] = h
-    for h in range(num_half):
-        a = triangle[h // 3, h % 3]
-        b = triangle[h // 3, (h + 1) % 3]
-        key = b * num_points + a
-        at = (key * 0x9E3779B1 >> 7) & mask
-        while hash_key[at] >= 0 and hash_key[at] != key:
-            at = (at + 1) & mask
-        if hash_key[at] < 0:
+        start[h], end[h] = triangle[h // 3, h % 3], triangle[h // 3, (h + 1) % 3]
+    find_reverses(start[:num_half], end[:num_half], mesh_work.slot, twin)
+    for h in range(num_half):  # noqa: SIM110 - compiled
+        if twin[h] < 0 or twin[twin[h]] != h:
             return False
-        twin[h] = hash_half[at]
     return True
 
 
@@ -125,8 +96,7 @@ def check_solid(
     for k in range(num_points):
         if not (np.isfinite(point[k, 0]) and np.isfinite(point[k, 1]) and np.isfinite(point[k, 2])):
             return NON_FINITE
-    hash_key, hash_half, twin = mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
-    if not pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
+    if not pair_half_edges(triangle, num_triangles, mesh_work):
         return NOT_CLOSED
     # V - E + F = 2 - 2 g with E = 3 F / 2, and one handle per courtyard
     if 2 * num_points - num_triangles != 4 - 4 * (num_rings - 1):

@@ -6,7 +6,7 @@ import numpy as np
 
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.records import MAX_EDGES
-from p2wss.skeleton.rings import crosses
+from p2wss.skeleton.rings import are_apart, is_inside, segment_distance_m2, signed_area
 from p2wss.skeleton.status import (
     BAD_ANGLE,
     COURTYARD_OUTSIDE,
@@ -84,70 +84,22 @@ def set_angles(edge: np.ndarray, num_edges: int, angle_deg: np.ndarray) -> int:
 
 
 @inner
-def _point_to_piece2(x: float, y: float, edge: np.ndarray, i: int) -> float:
-    """Squared distance of a point to edge i."""
-    dx, dy = x - edge[i].x, y - edge[i].y
-    along = dx * edge[i].dir_x + dy * edge[i].dir_y
-    along = min(max(along, 0.0), edge[i].length)
-    dx -= along * edge[i].dir_x
-    dy -= along * edge[i].dir_y
-    return dx * dx + dy * dy
-
-
-@inner
 def _edges_touch(edge: np.ndarray, i: int, j: int, clearance: float) -> bool:
     i2, j2 = edge[i].next, edge[j].next
-    if (
-        max(edge[i].x, edge[i2].x) + clearance < min(edge[j].x, edge[j2].x)
-        or max(edge[j].x, edge[j2].x) + clearance < min(edge[i].x, edge[i2].x)
-        or max(edge[i].y, edge[i2].y) + clearance < min(edge[j].y, edge[j2].y)
-        or max(edge[j].y, edge[j2].y) + clearance < min(edge[i].y, edge[i2].y)
-    ):
-        return False
-    side_j = (edge[j].x - edge[i].x) * edge[i].dir_y - (edge[j].y - edge[i].y) * edge[i].dir_x
-    side_j2 = (edge[j2].x - edge[i].x) * edge[i].dir_y - (edge[j2].y - edge[i].y) * edge[i].dir_x
-    side_i = (edge[i].x - edge[j].x) * edge[j].dir_y - (edge[i].y - edge[j].y) * edge[j].dir_x
-    side_i2 = (edge[i2].x - edge[j].x) * edge[j].dir_y - (edge[i2].y - edge[j].y) * edge[j].dir_x
-    if side_j * side_j2 < 0.0 and side_i * side_i2 < 0.0:
-        return True
-    nearest2 = min(
-        _point_to_piece2(edge[i].x, edge[i].y, edge, j),
-        _point_to_piece2(edge[i2].x, edge[i2].y, edge, j),
-        _point_to_piece2(edge[j].x, edge[j].y, edge, i),
-        _point_to_piece2(edge[j2].x, edge[j2].y, edge, i),
-    )
-    return nearest2 < clearance * clearance
+    a, b = (edge[i].x, edge[i].y), (edge[i2].x, edge[i2].y)
+    c, d = (edge[j].x, edge[j].y), (edge[j2].x, edge[j2].y)
+    return not are_apart(a, b, c, d, clearance) and segment_distance_m2(a, b, c, d) < clearance * clearance
 
 
 @inner
-def _inside_ring(edge: np.ndarray, first: int, last: int, x: float, y: float) -> bool:
-    inside = False
-    for i in range(first, last):
-        j = edge[i].next
-        if crosses(edge[i].x, edge[i].y, edge[j].x, edge[j].y, x, y):
-            inside = not inside
-    return inside
-
-
-@inner
-def ring_area(edge: np.ndarray, first: int, last: int) -> float:
-    """Signed area, m2, of the ring of edges ``first:last``; positive when counter-clockwise."""
-    area = 0.0
-    for i in range(first, last):
-        j = edge[i].next
-        area += (edge[i].x - edge[first].x) * (edge[j].y - edge[first].y)
-        area -= (edge[j].x - edge[first].x) * (edge[i].y - edge[first].y)
-    return 0.5 * area
-
-
-@inner
-def check_rings(edge: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int) -> int:
+def check_rings(
+    edge: np.ndarray, xy_m: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int
+) -> int:
     """The ``Status`` of the rings: OK if the exterior is counter-clockwise, courtyards are clockwise and inside
     it, and no edges cross or touch."""
-    base = ring_offset[first_ring]
-    n = ring_offset[last_ring] - base
+    n = ring_offset[last_ring] - ring_offset[first_ring]
     for ring in range(first_ring, last_ring):
-        area = ring_area(edge, ring_offset[ring] - base, ring_offset[ring + 1] - base)
+        area = signed_area(xy_m, ring_offset[ring], ring_offset[ring + 1])
         if (area > 0.0) != (ring == first_ring) or area == 0.0:
             return NOT_CLEAN
     for i in range(n):
@@ -160,10 +112,9 @@ def check_rings(edge: np.ndarray, ring_offset: np.ndarray, first_ring: int, last
             if edge[i].next != j and edge[j].next != i and _edges_touch(edge, i, j, _CLEARANCE_M):
                 return NOT_SIMPLE
     for ring in range(first_ring + 1, last_ring):
-        k = ring_offset[ring] - base
+        x, y = xy_m[ring_offset[ring], 0], xy_m[ring_offset[ring], 1]
         for other in range(first_ring, last_ring):
-            start, end = ring_offset[other] - base, ring_offset[other + 1] - base
-            is_inside = _inside_ring(edge, start, end, edge[k].x, edge[k].y)
-            if other != ring and is_inside != (other == first_ring):
+            is_in = is_inside(xy_m, ring_offset[other], ring_offset[other + 1], x, y)
+            if other != ring and is_in != (other == first_ring):
                 return COURTYARD_OUTSIDE
     return OK

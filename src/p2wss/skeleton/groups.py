@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import both
+from p2wss.skeleton.compiled import both, inner
 from p2wss.skeleton.half_edges import find
 from p2wss.skeleton.types import writable
+
+# by which pairs of vertices are multiplied to spread them over a hash table (Knuth 1973, Fibonacci hashing)
+_SPREAD = -7_046_029_254_386_353_131
 
 
 def groups(size: int, pairs: np.ndarray) -> np.ndarray:
@@ -44,3 +47,31 @@ def grouped(size: int, pairs: np.ndarray) -> np.ndarray:
         else:
             number[k] = number[find(first, k)]
     return number
+
+
+@both
+def num_slots(num_half: int) -> int:
+    """The size of the table that :func:`find_reverses` needs for so many half-edges."""
+    size = 4
+    while size < 2 * num_half:
+        size *= 2
+    return size
+
+
+@inner
+def find_reverses(start: np.ndarray, end: np.ndarray, slot: np.ndarray, result: np.ndarray) -> None:
+    """Write to ``result``, for each half-edge between vertices, int64 (n,), the one that runs the other way, -1 for
+    none: by a hash table with open addresses, ``slot``, in which of equal half-edges the first one is."""
+    size = num_slots(len(start))
+    for place in range(size):
+        slot[place] = -1
+    for is_asked in (False, True):
+        for half in range(len(start)):
+            one, other = (end[half], start[half]) if is_asked else (start[half], end[half])
+            place = (((one << 31) + other) * _SPREAD >> 32) & (size - 1)
+            while slot[place] >= 0 and (start[slot[place]] != one or end[slot[place]] != other):
+                place = (place + 1) & (size - 1)
+            if is_asked:
+                result[half] = slot[place]
+            elif slot[place] < 0:
+                slot[place] = half

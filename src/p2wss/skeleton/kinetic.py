@@ -425,18 +425,6 @@ def _cap_loop(work: SkeletonWork, v: int, t: float, cap: int) -> None:
 
 
 @inner
-def _freeze_loop(vertex: np.ndarray, v: int, limit: int) -> None:
-    w = v
-    for _ in range(limit):
-        vertex[w].collapse_time = _NEVER
-        vertex[w].split_time = _NEVER
-        vertex[w].split_from = _NOTHING
-        w = vertex[w].next
-        if w == v:
-            break
-
-
-@inner
 def _name_loop(vertex: np.ndarray, v: int, name: int, limit: int) -> None:
     w = v
     for _ in range(limit):
@@ -477,7 +465,9 @@ def _end_still_region(work: SkeletonWork, num_edges: int, v: int, phase: int, t:
             if phase == 1:
                 _cap_loop(work, w, t, num_edges + cap)
             else:
-                _freeze_loop(vertex, w, limit)
+                vertex[w].collapse_time = _NEVER
+                vertex[w].split_time = _NEVER
+                vertex[w].split_from = _NOTHING
 
 
 @inner

@@ -7,7 +7,8 @@ import numpy as np
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
 from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.face_rings import trace_faces
-from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
+from p2wss.skeleton.footprint import check_rings, load_footprint, set_angles
+from p2wss.skeleton.groups import num_slots
 from p2wss.skeleton.half_edges import collect_half_edges, drop_straight_points
 from p2wss.skeleton.kinetic import simulate
 from p2wss.skeleton.records import (
@@ -24,6 +25,7 @@ from p2wss.skeleton.records import (
     flat_label,
     ground_label,
 )
+from p2wss.skeleton.rings import signed_area
 from p2wss.skeleton.status import BAD_HEIGHT, NOT_CLOSED, NOT_TRIANGULATED, OK, OVERFLOW
 from p2wss.skeleton.triangulate import clip_ears, copy_corners, join_holes
 from p2wss.skeleton.types import FaceKind
@@ -65,7 +67,7 @@ def solid_skeleton(batch: Batch, p: int, work: SkeletonWork) -> tuple[int, int]:
     first = ring_offset[first_ring]
     status = set_angles(edge, num_edges, batch.angle_deg[first : first + num_edges])
     if status == OK:
-        status = check_rings(edge, ring_offset, first_ring, last_ring)
+        status = check_rings(edge, batch.xy_m, ring_offset, first_ring, last_ring)
     if status == OK:
         status = simulate(work, num_edges, last_ring - first_ring, max_roof_height)
     return status, num_edges
@@ -142,9 +144,7 @@ def finish_solid(walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork)
     for t in range(num_triangles):
         for m in range(3):
             triangle[t, m] = new_index[triangle[t, m]]
-    if not pair_half_edges(
-        triangle, num_triangles, num_vertices, mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
-    ):
+    if not pair_half_edges(triangle, num_triangles, mesh_work):
         return NOT_CLOSED, 0, 0
     num_vertices = separate_pinches(
         triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, mesh_work.out_head
@@ -165,11 +165,9 @@ def solid_mesh(
     if status != OK:
         return status, 0, 0, 0
     first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
-    first_vertex = batch.ring_offset[first_ring]
     plan_area = 0.0
     for ring in range(first_ring, last_ring):
-        first, last = batch.ring_offset[ring] - first_vertex, batch.ring_offset[ring + 1] - first_vertex
-        plan_area += ring_area(skeleton_work.edge, first, last)
+        plan_area += signed_area(batch.xy_m, batch.ring_offset[ring], batch.ring_offset[ring + 1])
     walls = Walls(
         num_edges, last_ring - first_ring, plan_area, batch.eave_height_m[p], batch.base_height_m[p]
     )
@@ -182,9 +180,6 @@ def mesh_work(max_edges: int) -> MeshWork:
     num_points = 9 * max_edges + 64  # nodes of the skeleton, and the corners on the ground
     num_halves = 32 * max_edges + 512
     num_triangles = 16 * max_edges + 256
-    hash_size = 1
-    while hash_size < 6 * num_triangles:
-        hash_size *= 2
     corners = [Corners(np.zeros((num_halves, 2)), np.zeros(num_halves, np.int64)) for _ in range(4)]
     return MeshWork(
         point=np.zeros((num_points, 3)),
@@ -214,7 +209,8 @@ def mesh_work(max_edges: int) -> MeshWork:
         new_index=np.zeros(2 * num_points, np.int64),
         vertex=np.zeros((2 * num_points, 3)),
         twin=np.zeros(3 * num_triangles, np.int64),
-        hash_key=np.zeros(hash_size, np.int64),
-        hash_half=np.zeros(hash_size, np.int64),
+        start=np.zeros(3 * num_triangles, np.int64),
+        end=np.zeros(3 * num_triangles, np.int64),
+        slot=np.zeros(num_slots(3 * num_triangles), np.int64),
         corner=np.zeros(3 * num_triangles, np.int64),
     )

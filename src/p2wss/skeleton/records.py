@@ -163,8 +163,9 @@ class MeshWork(NamedTuple):
     new_index: np.ndarray
     twin: np.ndarray
     vertex: np.ndarray
-    hash_key: np.ndarray
-    hash_half: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    slot: np.ndarray
     corner: np.ndarray
 
 

@@ -1,4 +1,5 @@
-"""Area and inside of rings, for compiled code. A ring is ``xy[first:last]``, float64 (n, 2), open."""
+"""Area and inside of rings, and distances of segments, for compiled code. A ring is ``xy[first:last]``, float64 (n, 2),
+open."""
 
 from __future__ import annotations
 
@@ -36,3 +37,46 @@ def signed_area(xy: np.ndarray, first: int, last: int) -> float:
         area += a_x * b_y - a_y * b_x
         a_x, a_y = b_x, b_y
     return 0.5 * area
+
+
+@inner
+def segment_distance_m2(
+    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
+) -> float:
+    """Squared distance of the segments from a to b and from c to d, all (x, y); 0 where they cross."""
+    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], d[0] - c[0], d[1] - c[1]
+    c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
+    a_side, b_side = vx * (a[1] - c[1]) - vy * (a[0] - c[0]), vx * (b[1] - c[1]) - vy * (b[0] - c[0])
+    if c_side * d_side < 0.0 and a_side * b_side < 0.0:
+        return 0.0
+    near = min(to_segment_m2(a, c, d), to_segment_m2(b, c, d))
+    return min(near, min(to_segment_m2(c, a, b), to_segment_m2(d, a, b)))
+
+
+@inner
+def to_segment_m2(p: tuple[float, float], a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Squared distance of p from the segment from a to b."""
+    ux, uy = b[0] - a[0], b[1] - a[1]
+    length2 = ux * ux + uy * uy
+    share = 0.0
+    if length2 > 0.0:
+        share = min(max(((p[0] - a[0]) * ux + (p[1] - a[1]) * uy) / length2, 0.0), 1.0)
+    dx, dy = p[0] - a[0] - share * ux, p[1] - a[1] - share * uy
+    return dx * dx + dy * dy
+
+
+@inner
+def are_apart(
+    a: tuple[float, float],
+    b: tuple[float, float],
+    c: tuple[float, float],
+    d: tuple[float, float],
+    most: float,
+) -> bool:
+    """Whether the boxes around the segments from a to b and from c to d are further apart than ``most``."""
+    return (
+        min(a[0], b[0]) > max(c[0], d[0]) + most
+        or min(c[0], d[0]) > max(a[0], b[0]) + most
+        or min(a[1], b[1]) > max(c[1], d[1]) + most
+        or min(c[1], d[1]) > max(a[1], b[1]) + most
+    )
