@@ -379,19 +379,12 @@ def _contract(xy_m: np.ndarray, node: np.ndarray, ring_offset: np.ndarray, min_e
     edges = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     length_m = np.hypot(*(xy_m[edges[:, 0]] - xy_m[edges[:, 1]]).T)
     degree = np.bincount(edges.ravel(), minlength=len(xy_m))
-    short = np.flatnonzero((length_m < min_edge_m) & (degree[edges] > 2).any(axis=1))
-    target = np.arange(len(xy_m))
-    for a, b in edges[short[np.lexsort((short, length_m[short]))]].tolist():
-        while target[a] != a:
-            a = int(target[a])
-        while target[b] != b:
-            b = int(target[b])
-        if a != b:
-            keep, drop = (a, b) if (degree[a], -a) >= (degree[b], -b) else (b, a)
-            target[drop] = keep
-    while (target[target] != target).any():
-        target = target[target]
-    return target[node]
+    is_short = (length_m < min_edge_m) & (degree[edges] > 2).any(axis=1)
+    cluster = groups(len(xy_m), edges[is_short])
+    # of as many walls, the first node
+    most_first = np.lexsort((-degree, cluster))
+    _, place = np.unique(cluster[most_first], return_index=True)
+    return most_first[place][cluster[node]]
 
 
 def _without_spikes(node: np.ndarray, ring_offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
