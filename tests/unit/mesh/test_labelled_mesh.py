@@ -74,7 +74,7 @@ def test_moves_keep_faces_and_leave_the_first_mesh_alone() -> None:
     mesh = gable()
     before = mesh.vertex_m.copy()
     moved = mesh.translated([1, 2, 3])
-    assert moved.vertex_m == pytest.approx(before + [1, 2, 3])
+    assert moved.vertex_m == pytest.approx(before + np.array([1, 2, 3]))
     assert moved.volume_m3 == pytest.approx(mesh.volume_m3) and np.array_equal(moved.face, mesh.face)
     assert np.array_equal(mesh.vertex_m, before)
 
