@@ -34,7 +34,7 @@ _DISTRIBUTIONS = {"PIL": "pillow", "slurm": "snakemake-executor-plugin-slurm"}
 @click.command(cls=Command)
 def doctor() -> None:
     """Show what is installed, and what each missing piece costs."""
-    from p2wss.reconstruction.warm_up import marker
+    from p2wss.reconstruction.compiled import marker
 
     compiled, scratch = marker(with_scans=False), tempfile.gettempdir()
     state = "compiled anew by each run: no folder can be written"

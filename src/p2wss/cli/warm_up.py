@@ -15,12 +15,14 @@ from p2wss.storage.provenance import fingerprint
 @option("--all", "with_scans", is_flag=True, help="also compile the code that p2wss scans needs")
 def warm_up(with_scans: bool) -> None:
     """Compile the code that p2wss reconstruct needs, once for this computer."""
-    from p2wss.reconstruction import warm_up as of_reconstruct
+    from p2wss.reconstruction.compiled import marker
 
-    marker = of_reconstruct.marker(with_scans)
-    if marker is not None and marker.exists():
+    done = marker(with_scans)
+    if done is not None and done.exists():
         log.info("all code is already compiled")
         return
+    from p2wss.reconstruction import warm_up as of_reconstruct
+
     start = time.monotonic()
     of_reconstruct.warm_product()
     if with_scans:
@@ -29,5 +31,5 @@ def warm_up(with_scans: bool) -> None:
         warm_survey()
     fingerprint("reconstruction")  # kept beside the compiled code, too
     log.info("compiled in %.0f s", time.monotonic() - start)
-    if marker is not None:
-        marker.touch()
+    if done is not None:
+        done.touch()

@@ -1,62 +1,35 @@
-"""Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings.
-
-Imports are inside, so that the marker is found at once.
-"""
+"""Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings."""
 
 from __future__ import annotations
 
-import hashlib
-import platform
 from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pyproj
+import shapely
 
-if TYPE_CHECKING:
-    from p2wss.clouds.reading import Cloud
-    from p2wss.storage.features import Features
+from p2wss.clouds.reading import Cloud
+from p2wss.config import Reconstruct, Scenes
+from p2wss.data.building import Building
+from p2wss.data.terrain import Terrain
+from p2wss.fit import fitting
+from p2wss.fit.planes.costs import Costs, problem_of
+from p2wss.fit.settings import PlanePrices
+from p2wss.footprints.cleaning import clean_footprints
+from p2wss.mesh.planar import with_exact_faces
+from p2wss.mesh.surface import topmost
+from p2wss.reconstruction.network import with_supposed_roofs
+from p2wss.reconstruction.outputs import exports
+from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.registration.shifts import solve_shift
+from p2wss.storage.features import Features
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"
 
 
-def marker(with_scans: bool) -> Path | None:
-    """The file beside the cached code that exists once all of these sources are compiled; None without a cache."""
-    import numba
-    from llvmlite.binding import get_host_cpu_name
-
-    from p2wss.skeleton.compiled import cache_folder
-
-    folder = cache_folder()
-    if folder is None:
-        return None
-    digest = hashlib.blake2b(digest_size=6)
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
-    computer = platform.python_version(), numba.__version__, get_host_cpu_name()
-    digest.update(repr((computer, with_scans)).encode())
-    return folder / f"warm-up.{digest.hexdigest()}"
-
-
 def warm_product() -> None:
     """Roofs of planes, the paper's buildings, terrain, and what a network is given, if there is torch."""
-    import pyproj
-    import shapely
-
-    from p2wss.config import Reconstruct
-    from p2wss.data.building import Building
-    from p2wss.data.terrain import Terrain
-    from p2wss.fit import fitting
-    from p2wss.fit.planes.costs import Costs, problem_of
-    from p2wss.fit.settings import PlanePrices
-    from p2wss.mesh.planar import with_exact_faces
-    from p2wss.mesh.surface import topmost
-    from p2wss.reconstruction.network import with_supposed_roofs
-    from p2wss.reconstruction.outputs import exports
-    from p2wss.reconstruction.pipeline import run
-    from p2wss.reconstruction.registration.shifts import solve_shift
-
     features, cloud = sample()
     config = Reconstruct(detail="high")
     results = run(features, cloud, None, "sample", config)
@@ -95,13 +68,6 @@ def warm_product() -> None:
 def sample() -> tuple[Features, Cloud]:
     """(clean footprints, their points and ground at 0 m) of a house with a lower annex, a house with a dormer and a
     flat block around a courtyard."""
-    import pyproj
-    import shapely
-
-    from p2wss.config import Scenes
-    from p2wss.footprints.cleaning import clean_footprints
-    from p2wss.storage.features import Features
-
     draw = np.random.default_rng(0)
     house, dormer = shapely.box(0, 0, 13, 8), shapely.box(30, 0, 42, 9)
     block = shapely.box(60, 0, 84, 20) - shapely.box(68, 7, 76, 13)
@@ -123,13 +89,5 @@ def sample() -> tuple[Features, Cloud]:
         classes.append(np.where(inside, 6, 2).astype(np.uint8))
     shapes, ids = (np.array(each, object) for each in ([house, dormer, block], ["a", "b", "c"]))
     features = Features(shapes, {"building_id": ids}, pyproj.CRS(_CRS))
-    return clean_footprints(features, Scenes()), _cloud(np.concatenate(points), np.concatenate(classes))
-
-
-def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
-    import pyproj
-
-    from p2wss.clouds.reading import Cloud
-
-    x, y, z = np.ascontiguousarray(point_m.T)
-    return Cloud(x, y, z, classification, pyproj.CRS(_CRS))
+    x, y, z = np.ascontiguousarray(np.concatenate(points).T)
+    return clean_footprints(features, Scenes()), Cloud(x, y, z, np.concatenate(classes), features.crs)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pyarrow as pa
 
-if TYPE_CHECKING:
-    import pyarrow as pa
+from p2wss import skeleton
+from p2wss.config import Scans
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import tile_bounds
+from p2wss.scans import simulate
+from p2wss.storage.schemas.buildings import BUILDINGS
 
 _TILE, _TILE_SIZE_M, _MARGIN_M = "0652500_6862000", 100.0, 40.0
 _DENSITY_PER_M2 = 2.0
@@ -15,11 +18,6 @@ _DENSITY_PER_M2 = 2.0
 
 def warm_survey() -> None:
     """A survey of each preset."""
-    from p2wss.config import Scans
-    from p2wss.data.terrain import Terrain
-    from p2wss.data.tiling import tile_bounds
-    from p2wss.scans import simulate
-
     x_min, _, x_max, y_max = tile_bounds(_TILE, _TILE_SIZE_M, _MARGIN_M)
     size = int(x_max - x_min)
     terrain = Terrain(
@@ -32,11 +30,6 @@ def warm_survey() -> None:
 
 def _house() -> pa.Table:
     """A row of ``schemas.buildings.BUILDINGS`` with a gable roof, in the middle of the tile."""
-    import pyarrow as pa
-
-    from p2wss import skeleton
-    from p2wss.data.tiling import tile_bounds
-    from p2wss.storage.schemas.buildings import BUILDINGS
 
     x_min, y_min, _, _ = tile_bounds(_TILE, _TILE_SIZE_M)
     corners, angle_deg = np.array([[0, 0], [10, 0], [10, 12], [0, 12.0]]), np.array([90.0, 40.0, 90.0, 40.0])
