@@ -37,6 +37,16 @@ class Group(NamedTuple):
     length: int
 
 
+class Sequences(NamedTuple):
+    """Token sequences of a batch, int64 (b, l): the true ones, what the network gets of them, with masks, and which of
+    them it has to predict, bool (b, l). num_vertices int64 (b,)."""
+
+    tokens: Tensor
+    given: Tensor
+    wanted: Tensor
+    num_vertices: Tensor
+
+
 class CloudEncoder(nn.Module):
     """Patches to features: mini-PointNet, [cls] token, positions of the patch centres added before every block."""
 
@@ -271,20 +281,17 @@ class Point2Wss(nn.Module):
         ground_z: Tensor,
         patch_masked: Tensor,
         patch_labels: Tensor,
-        tokens: Tensor,
-        given: Tensor,
-        wanted: Tensor,
-        num_vertices: Tensor,
+        sequences: Sequences,
         groups: Sequence[Group] = (),
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
-        patches, ground_z (b,): scaled and centred. tokens int64 (b, l) without masks, given int64 (b, l) with masks,
-        wanted bool (b, l), which of them to predict, num_vertices (b,). patch_masked bool (a, g), patch_labels int64
-        (a, g), codes of the discrete VAE: of the first a <= b pairs, on which the losses (1), (3) and (4) are computed.
-        In the paper a = b; for a = 0 there is only the loss (2). groups: all rows, in order; the sequences of a group
-        are padded to its longest, by default to the longest of all.
+        patches, ground_z (b,): scaled and centred. patch_masked bool (a, g), patch_labels int64 (a, g), codes of the
+        discrete VAE: of the first a <= b pairs, on which the losses (1), (3) and (4) are computed. In the paper a = b;
+        for a = 0 there is only the loss (2). groups: all rows, in order; the sequences of a group are padded to its
+        longest, by default to the longest of all.
         """
+        tokens, given, wanted, num_vertices = sequences
         num_first = len(patch_masked)
         # each branch runs once, on a batch of its masked and its unmasked inputs
         x, position, valid = self.cloud.embed_patches(patches, ground_z)

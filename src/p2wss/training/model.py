@@ -19,7 +19,7 @@ from p2wss.data.seeds import derive_seed, generator
 from p2wss.nets import compute, distributed
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import Dgcnn, DiscreteVae, MiniPointNet
-from p2wss.nets.point2wss import Group, Point2Wss, inference_weights
+from p2wss.nets.point2wss import Group, Point2Wss, Sequences, inference_weights
 from p2wss.nets.predictor import Point2WssPredictor
 from p2wss.nets.tokenizer import Tokenizer
 from p2wss.nets.transformer import Block
@@ -129,10 +129,7 @@ class ModelTask:
                 batch.ground_z * NETWORK_SCALE,
                 patch_masked,
                 self.vae.tokens(auxiliary) if len(patch_masked) else patch_masked,
-                tokens,
-                given,
-                wanted,
-                batch.num_vertices,
+                Sequences(tokens, given, wanted, batch.num_vertices),
                 groups,
             )
         weights = config.loss_weights.model_dump()

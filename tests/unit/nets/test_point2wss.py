@@ -10,7 +10,14 @@ import torch
 from torch.nn import functional as F
 
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.nets.point2wss import EdgeAttention, NumberHead, Point2Wss, edge_features, inference_weights
+from p2wss.nets.point2wss import (
+    EdgeAttention,
+    NumberHead,
+    Point2Wss,
+    Sequences,
+    edge_features,
+    inference_weights,
+)
 from p2wss.nets.tokenizer import (
     FIRST_DIGIT,
     KIND_ANGLE,
@@ -99,7 +106,7 @@ def test_masked_digits_cannot_leak() -> None:
     for sequence in (tokens, other):
         model.losses(
             patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
-            sequence, sequence.masked_fill(digits, MASK), digits, num,
+            Sequences(sequence, sequence.masked_fill(digits, MASK), digits, num),
         )  # fmt: skip
     assert torch.equal(captured[0][4:], captured[1][4:])  # the masked half of the doubled batch
     assert not torch.equal(captured[0][:4], captured[1][:4])
@@ -194,7 +201,7 @@ def test_losses_start_near_chance_and_reach_every_weight() -> None:
     given = tokens.masked_fill(wanted, MASK)
     losses = model.losses(
         patches, torch.zeros(8), mask_patches(patches, (0.25, 0.45)),
-        torch.randint(20, (8, 12)), tokens, given, wanted, num,
+        torch.randint(20, (8, 12)), Sequences(tokens, given, wanted, num),
     )  # fmt: skip
     assert float(losses["sequence"].detach()) == pytest.approx(math.log(51), abs=0.7)
     assert float(losses["cloud"]) == pytest.approx(math.log(20), abs=0.7)
@@ -213,7 +220,7 @@ def test_losses_do_not_depend_on_groups() -> None:
     wanted &= Tokenizer().kinds(tokens.shape, num) > KIND_FRAME
     arguments = (
         patches, torch.zeros(8), mask_patches(patches, (0.25, 0.45)),
-        torch.randint(20, (8, 12)), tokens, tokens.masked_fill(wanted, MASK), wanted, num,
+        torch.randint(20, (8, 12)), Sequences(tokens, tokens.masked_fill(wanted, MASK), wanted, num),
     )  # fmt: skip
     groups = length_groups(num.numpy(), Tokenizer())
     assert len(groups) > 1 and groups[0].length < groups[-1].length == tokens.shape[1]
@@ -228,19 +235,18 @@ def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
     patches, tokens, num = sample(8)
     wanted = torch.rand(tokens.shape) < 0.3
     wanted &= Tokenizer().kinds(tokens.shape, num) > KIND_FRAME
-    given = tokens.masked_fill(wanted, MASK)
+    sequences = Sequences(tokens, tokens.masked_fill(wanted, MASK), wanted, num)
     patch_masked, labels = mask_patches(patches, (0.25, 0.45)), torch.randint(20, (8, 12))
-    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, tokens, given, wanted, num)
-    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], tokens, given, wanted, num)
-    alone = model.losses(
-        patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], given[:3], wanted[:3], num[:3]
-    )
+    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, sequences)
+    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], sequences)
+    first = Sequences(*(each[:3] for each in sequences))
+    alone = model.losses(patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], first)
     assert torch.allclose(some["sequence"], whole["sequence"], atol=1e-5)
     assert torch.allclose(some["number"], whole["number"], atol=1e-5)
     for name in ("cloud", "modal", "match"):
         assert torch.allclose(some[name], alone[name], atol=1e-5)
         assert not torch.allclose(some[name], whole[name], atol=1e-4)
-    none = model.losses(patches, torch.zeros(8), patch_masked[:0], labels[:0], tokens, given, wanted, num)
+    none = model.losses(patches, torch.zeros(8), patch_masked[:0], labels[:0], sequences)
     assert list(none) == ["sequence", "number"] and torch.allclose(
         none["sequence"], whole["sequence"], atol=1e-5
     )

@@ -18,7 +18,7 @@ from p2wss.nets import distributed
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.layers import BatchNorm
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.point2wss import Point2Wss, Sequences
 from p2wss.nets.tokenizer import MASK
 from p2wss.training import loop
 
@@ -75,9 +75,9 @@ def model_step() -> dict[str, Tensor]:
     labels = torch.randint(12, (NUM, 8), generator=generator)
     patches_of_process = patches(generator)
     given = tokens.masked_fill(token_masked, MASK)
-    columns = torch.zeros(NUM), patch_masked, labels, tokens, given, token_masked, num_vertices
-    arguments = [rows(x) for x in columns]
-    return measure(module, module.losses(patches_of_process, *arguments))
+    arguments = [rows(x) for x in (torch.zeros(NUM), patch_masked, labels)]
+    sequences = Sequences(*(rows(x) for x in (tokens, given, token_masked, num_vertices)))
+    return measure(module, module.losses(patches_of_process, *arguments, sequences))
 
 
 class Line:
