@@ -11,7 +11,7 @@ import shapely
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.types import FaceKind, next_in_ring
 
 # points this near, and points this near to a wall's line, are one place
 TOLERANCE_M = 2e-3
@@ -91,15 +91,13 @@ def on_common_floors(
 def area_vectors(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     """(f, 3), the vectors along the outward normals of faces, with the lengths of their areas (Newell)."""
     rings = [ring for face in faces for ring in face.rings]
-    num_corners = np.array([*map(len, rings)], int)
-    first = np.cumsum(num_corners) - num_corners
-    following = np.arange(1, num_corners.sum() + 1)
-    following[first + num_corners - 1] = first
+    ring_offset = np.cumsum([0, *map(len, rings)])
+    first = ring_offset[:-1]
     corner = point[[vertex for ring in rings for vertex in ring]]
-    corner -= np.repeat(corner[first], num_corners, axis=0)
+    corner -= np.repeat(corner[first], np.diff(ring_offset), axis=0)
     face = np.repeat(np.arange(len(faces)), [len(face.rings) for face in faces])
     doubled = np.zeros((len(faces), 3))
-    np.add.at(doubled, face, np.add.reduceat(np.cross(corner, corner[following]), first))
+    np.add.at(doubled, face, np.add.reduceat(np.cross(corner, corner[next_in_ring(ring_offset)]), first))
     return doubled / 2
 
 
