@@ -59,9 +59,6 @@ def without_common(
     for number, wall in enumerate(walls):
         rows, sides = np.nonzero((inside_of == number).T)
         alone = inside_of[1 - sides, rows] < 0
-        if alone.all():
-            result.append(faces[wall])
-            continue
         for piece in shapely.get_parts(shapely.coverage_union_all(cells[rows[alone]])):
             # seen from the side of the wall, the exterior is counter-clockwise
             pieces = [
