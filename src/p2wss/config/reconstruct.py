@@ -149,7 +149,7 @@ class Reconstruct(Section):
     outputs: list[Output] = Field(
         ["cityjsonseq", "gpkg", "report"],
         min_length=1,
-        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, helios, ",
+        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, helios",
     )
     attribute_names: Literal["p2wss", "3dbag"] = Field(
         "p2wss", description="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one"
@@ -234,7 +234,7 @@ class Reconstruct(Section):
     split_materials: bool = Field(
         False,
         description="one shape per material in Sionna scenes, which loses diffraction at the edges between "
-        "walls and roofs;"
+        "walls and roofs; "
         "false = one shape per building, with the material of its walls",
     )
     map_cell_m: float = Field(
@@ -250,7 +250,7 @@ class Reconstruct(Section):
     skin_terrain: Literal["cut", "overlap"] = Field(
         "cut",
         description="with skin and a terrain: cut = walls end on the terrain, which has a hole below "
-        "buildings;"
+        "buildings; "
         "overlap = all meshes are closed solids, and walls extend into the terrain",
     )
     vegetation: bool = Field(

@@ -55,7 +55,7 @@ class Scans(Section):
     preset: Literal["none", "paper", "hd"] = Field(
         "hd",
         description="hd: various sensors as in LiDAR HD; paper: the simulator of the paper, which uses only "
-        "density_per_m2"
+        "density_per_m2 "
         "of the settings below; none: as hd, but without errors",
     )
     density_per_m2: float | None = Field(
