@@ -90,6 +90,19 @@ def test_courtyards_stay() -> None:
     assert hole.intersection(truth).area / hole.union(truth).area >= 0.9
 
 
+def test_a_hall_of_few_points_is_whole(caplog: pytest.LogCaptureFixture) -> None:
+    """A cell of 1 m with points has one at least, also of a cloud with a third of a point per square metre."""
+    hall = shapely.box(0, 0, 60, 40)
+    dense = scene((hall, 9.0))
+    some = np.random.default_rng(5).permutation(len(dense))[: len(dense) // 50]
+    arrays = (dense.x_m[some], dense.y_m[some], dense.z_m[some], dense.classification[some])
+    (outline,) = outlines(Cloud(*arrays, LAMBERT), Outlines())
+    truth = placed(hall)
+    assert len(outline.interiors) == 0
+    assert outline.intersection(truth).area / outline.union(truth).area >= 0.9
+    assert "warning: 0.29 points per m2 on buildings: outlines are coarse" in caplog.text
+
+
 @pytest.mark.parametrize("angle_deg", [0.0, 28.0])
 def test_houses_of_different_height_are_apart(angle_deg: float) -> None:
     low, high = shapely.box(0, 0, 9, 10), shapely.box(9, 0, 20, 10)

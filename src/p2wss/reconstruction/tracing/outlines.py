@@ -33,6 +33,9 @@ from p2wss.storage.log_lines import log
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
 # clouds of nearly the same density have the same cells
 _POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20
+_NEIGHBOURS = 8
+# of fewer points per square metre, outlines are coarse
+_SPARSE = 1.0
 _SQUARE = np.ones((3, 3), bool)
 # the trace of a block is that of a smoothed raster with smaller cells
 _FINER, _SMOOTH_CELLS = 3, 0.8
@@ -95,6 +98,12 @@ def outlines_and_crowns(
             "no outlines: the cloud has no points on buildings (class 6); give footprints, or classify the points first"
         )
     raster = rasterised(cloud, settings)
+    if raster.density < _SPARSE:
+        text = (
+            "warning: %.2g points per m2 on buildings: outlines are coarse, and buildings narrower than %.1f m may be"
+            " missing; give footprints, if there are any"
+        )
+        log.warning(text, raster.density, 3 * raster.cell_m)
     traces = _block_traces(raster, settings)
     if not traces:
         raise InputError(f"no outlines: no building has at least {settings.min_area_m2:g} m2")
@@ -183,9 +192,14 @@ def crowns(cloud: Cloud, shapes: np.ndarray, raster: CloudRaster) -> np.ndarray:
 
 
 def _density(x_m: np.ndarray, y_m: np.ndarray) -> float:
-    """Median number of points in the cells of 1 m with points."""
-    cells = np.floor(np.column_stack([x_m, y_m])).astype(np.int64)
-    return float(np.median(np.unique(cells, axis=0, return_counts=True)[1]))
+    """Points per square metre: the median number in the cells of 1 m with points; if that is 1, which it is of all
+    sparser clouds, too, the median of the density within the distance of each point's eighth neighbour."""
+    xy_m = np.column_stack([x_m, y_m])
+    count = float(np.median(np.unique(np.floor(xy_m).astype(np.int64), axis=0, return_counts=True)[1]))
+    if count > 1 or len(xy_m) <= _NEIGHBOURS:
+        return count
+    far_m = scipy.spatial.KDTree(xy_m).query(xy_m, [_NEIGHBOURS + 1])[0]
+    return min(count, float(_NEIGHBOURS / (np.pi * np.median(far_m) ** 2)))
 
 
 def _large(label: np.ndarray, min_cells: float) -> np.ndarray:
