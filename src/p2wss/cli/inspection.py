@@ -150,8 +150,10 @@ def _other(path: Path) -> Facts:
     """Of a vector file of another type, which GDAL may know."""
     import pyogrio
 
+    from p2wss.footprints.vector_files import layers_of
+
     try:
-        pyogrio.list_layers(path)
+        layers_of(path)
     except pyogrio.errors.DataSourceError as error:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
         raise InputError(
@@ -163,13 +165,13 @@ def _other(path: Path) -> Facts:
 def _vector(path: Path) -> Facts:
     import pyogrio
 
-    from p2wss.footprints.vector_files import decoded, opening, unpacked
+    from p2wss.footprints.vector_files import decoded, layers_of, opening, unpacked
 
     layers: list[Facts] = []
     info: Facts = {}
     with opening(path):
         source = unpacked(path)
-        names = pyogrio.list_layers(source)[:, 0]
+        names = [name for name, _ in layers_of(source)]
     for name in names:
         info = decoded(
             source, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True
@@ -178,7 +180,7 @@ def _vector(path: Path) -> Facts:
         bounds = info["total_bounds"]
         layers.append(
             {
-                "layer": str(name),
+                "layer": name,
                 "num_features": info["features"],
                 "crs": _crs(info["crs"]),
                 "bounds": [float(value) for value in bounds] if bounds is not None else None,

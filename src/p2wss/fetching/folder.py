@@ -23,7 +23,7 @@ from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import read_header
-from p2wss.footprints.vector_files import decoded
+from p2wss.footprints.vector_files import decoded, layers_of
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_files import bounds_of
 from p2wss.storage.log_lines import log
@@ -97,14 +97,14 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
         if path.suffix == ".parquet":
             frame = _read_geoparquet(path, bounds, crs)
         else:
-            layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+            layers = [name for name, _ in layers_of(path)]
             if layer not in layers and len(layers) != 1:
                 raise InputError(
                     f"{path}: has no layer {layer}, but {', '.join(layers)}; "
                     "set fetch.folder.footprints_layer"
                 )
             name = layer if layer in layers else layers[0]
-            window = _window(path, bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
+            window = _window(path, bounds, crs, decoded(path, pyogrio.read_info, layer=name)["crs"])
             frame = decoded(path, pyogrio.read_dataframe, layer=name, bbox=window, fid_as_index=True)
     region_crs = horizontal(pyproj.CRS.from_user_input(crs))
     if frame.crs is None:

@@ -81,7 +81,6 @@ def read_vector(
             bbox=bounds,
             return_fids=True,
             datetime_as_string=True,
-            **_options(path),
         )
     if wkb is None:
         raise InputError(f"{path}: {no_geometry(path)}")
@@ -105,8 +104,10 @@ def read_vector(
 
 
 def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
-    """What a function of pyogrio with ``encoding`` makes of a file. Text of a shapefile without .cpg is UTF-8, as IGN's
-    is, if it can be; where it cannot be what a .cpg states, it is taken for ISO-8859-1, with a warning."""
+    """What a function of pyogrio with ``encoding`` makes of a file, by the options that its format needs. Text of a
+    shapefile without .cpg is UTF-8, as IGN's is, if it can be; where it cannot be what a .cpg states, it is taken for
+    ISO-8859-1, with a warning."""
+    options |= _options(path)
     if Path(path).suffix.lower() != ".shp":
         return read(path, **options)
     states = Path(path).with_suffix(".cpg").exists()
@@ -137,7 +138,7 @@ def unpacked(path: str | Path, layer: str = "") -> str | Path:
             # macOS packs what it knows of each file beside it
             if name.lower().endswith(_PACKED) and not name.startswith("__MACOSX/")
         )
-        layers = {file: pyogrio.list_layers(file)[:, 0].tolist() for file in files}
+        layers = {file: [name for name, _ in layers_of(file)] for file in files}
     fitting = [file for file, names in layers.items() if not layer or layer in names]
     if len(files) > 1 and len(fitting) != 1:
         known = ", ".join(name for names in layers.values() for name in names)
@@ -179,7 +180,24 @@ def _options(path: str | Path) -> dict[str, str]:
     ending = Path(path).suffix.lower()
     if ending in _TABLES:
         return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
+    if (
+        ending == ".gml"
+    ):  # columns are those of its schema, or of its features: a .gfs beside it may be of another file
+        return {"XSD": str(path)[: -len(ending)] + ".xsd", "WRITE_GFS": "NO"}
     return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending in (".osm", ".pbf") else {}
+
+
+def layers_of(path: str | Path) -> list[tuple[str, str | None]]:
+    """(name, kind of geometry or None) of each layer of what :func:`unpacked` returns."""
+    if Path(path).suffix.lower() != ".gml":
+        return [(str(name), kind) for name, kind in pyogrio.list_layers(path).tolist()]
+    result: list[tuple[str, str | None]] = []
+    while True:  # list_layers has no options
+        try:
+            info = decoded(path, pyogrio.read_info, layer=len(result))
+        except pyogrio.errors.DataLayerError:
+            return result
+        result.append((info["layer_name"], info["geometry_type"]))
 
 
 def no_geometry(path: str | Path) -> str:
@@ -212,13 +230,13 @@ def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | N
         return None, []
     with opening(path):
         warnings.simplefilter("ignore")  # what is said now is said again when the file is read
-        layers = pyogrio.list_layers(unpacked(path, stated)).tolist()
-    names = [str(name) for name, _ in layers]
+        layers = layers_of(unpacked(path, stated))
+    names = [name for name, _ in layers]
     if stated and stated not in names:
         raise InputError(f"{path}: has no layer {stated}; its layers are {', '.join(names)}")
     # a layer of any geometries, as databases have them, only where none states these
     of_kinds = [
-        [str(name) for name, kind in layers if kind and any(each in kind for each in kinds)]
+        [name for name, kind in layers if kind and any(each in kind for each in kinds)]
         for kinds in (_KINDS[of], ("Unknown", "Collection"))
     ]
     chosen = stated or next((each[0] for each in [*of_kinds, names] if each), None)
@@ -235,7 +253,7 @@ def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
     else:
         with opening(path):
             warnings.simplefilter("ignore")
-            info = dict(decoded(unpacked(path, layer), pyogrio.read_info, layer=chosen, **_options(path)))
+            info = dict(decoded(unpacked(path, layer), pyogrio.read_info, layer=chosen))
     return info | {"layer": chosen, "other_layers": others}
 
 
@@ -281,7 +299,6 @@ def _attributes(
         read_geometry=False,
         return_fids=True,
         datetime_as_string=True,
-        **_options(path),
     )
     return dict(zip(meta["fields"].tolist(), values, strict=True)), number
 

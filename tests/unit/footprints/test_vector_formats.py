@@ -15,6 +15,7 @@ import geopandas as gpd
 import numpy as np
 import osm_files
 import pandas as pd
+import pyogrio
 import pytest
 import shapely
 
@@ -79,6 +80,22 @@ def test_formats_are_read_without_a_word(name: str, tmp_path: Path) -> None:
     shapes = features.geometry[np.argsort(names)] if len(names[0]) > 1 else features.geometry[::-1]
     expected = frame.set_index("id").geometry[["flat", "gable"]].to_numpy()
     assert (shapely.hausdorff_distance(shapely.force_2d(shapes), expected) < 0.05).all()
+
+
+def test_columns_of_gml_are_its_own(tmp_path: Path) -> None:
+    """GDAL keeps the columns of a GML without schema in a file beside it, and believes that of another, too."""
+    frame = houses.footprints()
+    path = WRITERS["gml"](frame, tmp_path)
+    path.with_suffix(".xsd").unlink()
+    other = _to_file(frame.drop(columns="id"), tmp_path / "other.gml", "GML")
+    other.with_suffix(".xsd").unlink()
+    pyogrio.list_layers(other)
+    _moved(tmp_path / "other.gfs", "f.gfs")
+    assert "id" in layer_info(path)["fields"] and "id" in describe(path)["layers"][0]["columns"]
+    (tmp_path / "f.gfs").unlink()
+    names = read_footprints(path, metric=MetricCrs(frame.crs, frame.crs))["building_id"]
+    assert sorted(names) == ["flat", "gable"]
+    assert not [*tmp_path.glob("*.gfs")]
 
 
 @pytest.mark.parametrize("name", ["osm", "pbf"])
