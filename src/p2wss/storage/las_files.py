@@ -20,6 +20,8 @@ from p2wss.storage.errors import reading
 # the phrase of messages
 KIND = "a readable LAS, LAZ or COPC file, or truncated"
 _SIGNATURE = b"LASF"
+# gzip, zip
+_PACKED = (b"\x1f\x8b", b"PK")
 _MIN_HEADER, _HEADER_1_4 = 227, 375
 _VLR_HEADER, _EVLR_HEADER = 54, 60
 # of LAZ, ASPRS' registered user id and record id
@@ -63,8 +65,15 @@ def check_header(path: str | Path) -> tuple[int, int, int] | None:
     size = Path(path).stat().st_size
     with open(path, "rb") as file:
         head = file.read(_HEADER_1_4)
-        if len(head) < _MIN_HEADER or head[:4] != _SIGNATURE:
-            raise ValueError("it does not begin as one")
+        if head[:4] != _SIGNATURE:
+            remedy = (
+                "unpack it"
+                if head[:2] in _PACKED
+                else "convert what is in another format (E57, PLY, text) to LAZ, with PDAL or CloudCompare for instance"
+            )
+            raise ValueError(f"it does not begin as one; {remedy}")
+        if len(head) < _MIN_HEADER:
+            raise ValueError("its header ends too early")
         header_size, points_at, num_vlrs, point_format, record_size, num_points = struct.unpack_from(
             "<HIIBHI", head, 94
         )

@@ -46,3 +46,19 @@ def test_steps_and_offsets_that_cannot_be_are_an_error(tmp_path: Path, place: in
         return
     with pytest.raises(InputError, match="coordinates in steps of"):
         read_headers([path])
+
+
+@pytest.mark.parametrize(
+    ("content", "remedy"),
+    [
+        (b"\x1f\x8b\x08", "unpack it"),
+        (b"PK\x03\x04", "unpack it"),
+        (b"ply\nformat", "convert"),
+        (b"1.5 2.5 3.5\n", "convert"),
+        (b"LASF\x00", "its header ends too early"),
+    ],
+)
+def test_what_is_no_las_says_what_to_do(content: bytes, remedy: str, tmp_path: Path) -> None:
+    (tmp_path / "cloud").write_bytes(content)
+    with pytest.raises(InputError, match=rf"cloud: .*{remedy}"):
+        read_headers([tmp_path / "cloud"])
