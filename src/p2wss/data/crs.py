@@ -239,18 +239,25 @@ def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     )
 
 
-def doubtful_order(crs: pyproj.CRS, bounds: Bounds) -> str:
-    """Where coordinates are, if nothing but the place would tell that they are northings before eastings, as their CRS
-    has them: if they are in its area of use in either order; else ""."""
+def doubtful_place(crs: pyproj.CRS, bounds: Bounds) -> str:
+    """Where coordinates are, if nothing but the place would tell that they are wrong: outside of the area of use of
+    their projection, by no fault that :func:`odd_place` knows, or in it in either order, where a CRS has northings
+    before eastings; else ""."""
     flat, (x, y) = horizontal(crs), ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
-    is_north_first = flat.axis_info[0].direction == "north" and flat.axis_info[1].direction == "east"
-    if not (is_north_first and is_plausible(crs, (x, y)) and is_plausible(crs, (y, x))):
+    is_there = is_plausible(crs, (x, y))
+    if not is_there and crs.is_projected and np.abs(bounds).max() >= _LOCAL and not odd_place(crs, bounds):
+        remedy = f"it is not in the area of {crs.name}: state its CRS with --crs"
+    elif (
+        flat.axis_info[0].direction == "north"
+        and flat.axis_info[1].direction == "east"
+        and is_there
+        and is_plausible(crs, (y, x))
+    ):
+        remedy = "x and y are swapped, and the buildings would be mirrored"
+    else:
         return ""
     longitude, latitude = in_degrees(flat, x, y)
-    return (
-        f"is at latitude {latitude:.2f}, longitude {longitude:.2f}; if that is another place, x and y are swapped, and"
-        " the buildings would be mirrored"
-    )
+    return f"is at latitude {latitude:.2f}, longitude {longitude:.2f}; if that is another place, {remedy}"
 
 
 def parsed_crs(stated: str, where: str) -> pyproj.CRS:

@@ -17,7 +17,7 @@ import shapely
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
-from p2wss.data.crs import MetricCrs, check_crs, common_crs, doubtful_order, metric_crs, odd_place, same_crs
+from p2wss.data.crs import MetricCrs, check_crs, common_crs, doubtful_place, metric_crs, odd_place, same_crs
 from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet, class_set
 from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
@@ -210,7 +210,7 @@ def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, crs: pypro
     ]
     for level, word, doubt_of in (
         (logging.WARNING, "warning", odd_place),
-        (logging.INFO, "note", doubtful_order),
+        (logging.INFO, "note", doubtful_place),
     ):
         doubts: dict[str, list[str]] = {}
         for each in [known, *far]:

@@ -14,7 +14,7 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.crs import MetricCrs, common_crs, doubtful_order, metric_crs, odd_place, reprojected
+from p2wss.data.crs import MetricCrs, common_crs, doubtful_place, metric_crs, odd_place, reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.storage.errors import InputError
 
@@ -314,8 +314,18 @@ def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y
         (3007, 147_720, 6_398_557, ""),
         (28992, 85_000, 447_000, ""),
         (3857, 485_000, 6_800_000, ""),
+        # the easting is of LV03, the northing of LV95; and Norway, by a zone beside its own
+        (
+            21781,
+            674_500,
+            1_206_700,
+            "is at latitude 55.96, longitude 8.62; if that is another place, it is not in",
+        ),
+        (32633, -33_000, 6_730_000, ""),
+        (28992, 85_000_000, 447_000_000, ""),
+        (28992, 130, 520, ""),
     ],
 )
-def test_where_only_the_place_tells_the_order_of_the_axes(epsg: int, x: float, y: float, words: str) -> None:
-    place = doubtful_order(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
+def test_where_only_the_place_tells_what_is_wrong(epsg: int, x: float, y: float, words: str) -> None:
+    place = doubtful_place(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
     assert words in place and bool(place) == bool(words)
