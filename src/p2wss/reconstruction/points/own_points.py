@@ -50,7 +50,9 @@ class Rules:
     turn: difference of the slopes of planes that cross, as tangent. beyond_share: a plane goes on beyond the border
     where it has more points there than this share of those in the strip; crossing_share: of one that crosses another.
     most_share: where more of a plane's points in the strip than this share are the neighbour's, all of them are.
-    roof_share: points of plants are a roof if more than this share of them lie on planes.
+    roof_share: points of plants are a roof if more than this share of them lie on planes. gap_m, gap, num_around: class
+    building has a gap farther from its points than this, and than so many times their distance from the ``num_around``
+    th of them.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -67,6 +69,9 @@ class Rules:
     crossing_share: float = 0.75
     most_share: float = 0.5
     roof_share: float = 0.5
+    gap_m: float = 1.5
+    gap: float = 2.0
+    num_around: int = 8
 
 
 RULES = Rules()
@@ -88,6 +93,7 @@ def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification
     inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
     result = _with_roofs_as_ground(inside, point_m, classification)
     result = _with_roofs_as_plants(inside, point_m, result)
+    result = _with_roofs_as_others(inside, point_m, result)
     theirs = _theirs(polygon, inside, point_m, result)
     return np.where(theirs, np.uint8(NEIGHBOUR_CLASS), result) if theirs.any() else result
 
@@ -118,6 +124,24 @@ def _with_roofs_as_plants(inside: np.ndarray, point_m: np.ndarray, classificatio
         return classification
     plant[plant] = is_planar
     return np.where(plant, np.uint8(BUILDING_CLASS), classification)
+
+
+def _with_roofs_as_others(inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
+    """The classes (m,) with class building for points inside of no such class, nor ground or plants, that lie on planes
+    where class building has a gap, and most of them do: a part of the roof that the classifier missed."""
+    built_m = point_m[inside & (classification == BUILDING_CLASS), :2]
+    known = (BUILDING_CLASS, *PLANT_CLASSES, *NEVER_ON_A_BUILDING)
+    other = inside & (point_m[:, 2] >= MIN_HEIGHT_M) & ~has_class(classification, known)
+    if not other.any() or len(built_m) <= RULES.num_around:
+        return classification
+    around_m = nearest(built_m, built_m, RULES.num_around + 1)[0][:, -1]
+    gap_m = max(RULES.gap_m, RULES.gap * float(np.median(around_m)))
+    other[other] = nearest(built_m, point_m[other, :2])[0][:, 0] > gap_m
+    is_planar = planar(point_m[other])
+    if not is_planar.any() or np.count_nonzero(is_planar) < RULES.roof_share * len(is_planar):
+        return classification
+    other[other] = is_planar
+    return np.where(other, np.uint8(BUILDING_CLASS), classification)
 
 
 def _theirs(
