@@ -72,15 +72,16 @@ def test_a_roof_that_the_producer_took_for_trees_is_one_and_a_crown_over_it_is_n
     assert (own_classes([RING], point_m, most) == most).all()
 
 
-def test_a_part_of_the_roof_that_the_classifier_missed_is_roof_and_a_crown_is_not() -> None:
+@pytest.mark.parametrize("other", [UNCLASSIFIED_CLASS, VEGETATION_CLASS])
+def test_a_part_of_the_roof_that_the_classifier_missed_is_roof_and_a_crown_is_not(other: int) -> None:
     point_m = surface({(-1, 9): 4.0}, slope=0.3)
     missed = point_m[:, 1] > 5
-    classes = np.where(missed, UNCLASSIFIED_CLASS, BUILDING_CLASS).astype(np.uint8)
+    classes = np.where(missed, other, BUILDING_CLASS).astype(np.uint8)
     deep = missed & (point_m[:, 1] > 6.6) & (point_m[:, 0] > 0) & (point_m[:, 0] < 8)
     found = own_classes([RING], point_m, classes)
     assert (found[deep] == BUILDING_CLASS).mean() > 0.95
     # what is beside class building may be an antenna, or a wire
-    assert (found[missed & (point_m[:, 1] < 6)] == UNCLASSIFIED_CLASS).all()
+    assert (found[missed & (point_m[:, 1] < 6)] == other).all()
     crown_m = point_m.copy()
     crown_m[missed, 2] += np.random.default_rng(4).uniform(0, 4, missed.sum())
     assert not (own_classes([RING], crown_m, classes)[missed] == BUILDING_CLASS).any()

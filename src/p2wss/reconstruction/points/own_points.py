@@ -127,11 +127,11 @@ def _with_roofs_as_plants(inside: np.ndarray, point_m: np.ndarray, classificatio
 
 
 def _with_roofs_as_others(inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
-    """The classes (m,) with class building for points inside of no such class, nor ground or plants, that lie on planes
-    where class building has a gap, and most of them do: a part of the roof that the classifier missed."""
+    """The classes (m,) with class building for points inside of other classes than ground that lie on planes where
+    class building has a gap, and most of them do: a part of the roof that the classifier missed."""
     built_m = point_m[inside & (classification == BUILDING_CLASS), :2]
-    known = (BUILDING_CLASS, *PLANT_CLASSES, *NEVER_ON_A_BUILDING)
-    other = inside & (point_m[:, 2] >= MIN_HEIGHT_M) & ~has_class(classification, known)
+    other = inside & (point_m[:, 2] >= MIN_HEIGHT_M)
+    other &= ~has_class(classification, (BUILDING_CLASS, *NEVER_ON_A_BUILDING))
     if not other.any() or len(built_m) <= RULES.num_around:
         return classification
     around_m = nearest(built_m, built_m, RULES.num_around + 1)[0][:, -1]
