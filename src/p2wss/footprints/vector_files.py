@@ -180,9 +180,8 @@ def _options(path: str | Path) -> dict[str, str]:
     ending = Path(path).suffix.lower()
     if ending in _TABLES:
         return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
-    if (
-        ending == ".gml"
-    ):  # columns are those of its schema, or of its features: a .gfs beside it may be of another file
+    if ending == ".gml":
+        # columns are those of its schema, or of its features: a .gfs beside it may be of another file
         return {"XSD": str(path)[: -len(ending)] + ".xsd", "WRITE_GFS": "NO"}
     return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending in (".osm", ".pbf") else {}
 
