@@ -80,6 +80,25 @@ def test_a_small_house_stands_as_its_points_do(angle_deg: float) -> None:
     assert corner_errors_m(outline, truth).max() <= 0.3
 
 
+@pytest.mark.parametrize("is_classified", [True, False])
+def test_buildings_far_from_each_other_are_as_alone(is_classified: bool) -> None:
+    near = scene((L_SHAPE, 9.0), angle_deg=20)
+    if not is_classified:
+        near = replace(near, classification=np.zeros(len(near), np.uint8))
+    far = replace(near, x_m=near.x_m + 80_000, y_m=near.y_m + 90_000)
+    both = Cloud(
+        *(np.concatenate(pair) for pair in zip(columns(near), columns(far), strict=True)), crs=LAMBERT
+    )
+    # a raster of all would have 10 to the 10 cells
+    together = outlines(with_classes(both)[0], Outlines(), is_classified)
+    alone = [outlines(with_classes(each)[0], Outlines(), is_classified) for each in (near, far)]
+    assert together.tolist() == np.concatenate(alone).tolist() and len(together) == 2
+
+
+def columns(cloud: Cloud) -> tuple[np.ndarray, ...]:
+    return cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification
+
+
 def test_courtyards_stay() -> None:
     court = shapely.box(6, 6, 14, 13)
     (outline,) = outlines(scene((shapely.box(0, 0, 20, 20) - court, 8.0), angle_deg=20.0), Outlines())

@@ -21,6 +21,7 @@ from p2wss.data.las_classes import (
     WATER_CLASS,
 )
 from p2wss.data.points import MIN_HEIGHT_M
+from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 
 
@@ -47,6 +48,8 @@ class Rules:
 
 RULES = Rules()
 _CHUNK = 10_000
+# metres: parts of a cloud that are further apart have nothing to do with each other
+_PATCH_M = 100.0
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
@@ -72,7 +75,10 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
         return cloud, []
     has_ground, has_buildings = (classes == GROUND_CLASS).any(), (classes == BUILDING_CLASS).any()
     if not has_ground:
-        classes = np.where(is_open(classes) & _lowest(cloud), GROUND_CLASS, classes).astype(np.uint8)
+        is_lowest = np.zeros(len(cloud), bool)
+        for rows in patches(cloud):
+            is_lowest[rows] = _lowest(cloud.x_m[rows], cloud.y_m[rows], cloud.z_m[rows])
+        classes = np.where(is_open(classes) & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
         height_m = cloud.z_m - ground_z_m(replace(cloud, classification=classes))
         candidates = np.flatnonzero(is_open(classes) & (height_m >= MIN_HEIGHT_M))
@@ -105,11 +111,21 @@ def is_open(classes: np.ndarray) -> np.ndarray:
     return (classes <= UNCLASSIFIED_CLASS) | ~np.isin(classes, meanings)
 
 
-def _cells(cloud: Cloud) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+def patches(cloud: Cloud) -> list[np.ndarray]:
+    """Rows of the points of each part of a cloud, ascending. Between parts there are squares of 100 m without a point:
+    a raster of all, which may be kilometres of nothing, is never made."""
+    square = np.floor(np.column_stack([cloud.x_m, cloud.y_m]) / _PATCH_M)
+    used, of_point = np.unique(square @ [1, 1j], return_inverse=True)
+    place = np.column_stack([used.real, used.imag])
+    part = groups(len(used), scipy.spatial.KDTree(place).query_pairs(1.5, output_type="ndarray"))[of_point]
+    return np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+
+
+def _cells(x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     """(row of each point, its column, shape of the raster); cells begin at whole metres, whatever the window."""
     row, column = (
-        np.floor(cloud.y_m / RULES.cell_m).astype(np.int64),
-        np.floor(cloud.x_m / RULES.cell_m).astype(np.int64),
+        np.floor(y_m / RULES.cell_m).astype(np.int64),
+        np.floor(x_m / RULES.cell_m).astype(np.int64),
     )
     row, column = row - row.min(), column - column.min()
     return row, column, (int(row.max()) + 1, int(column.max()) + 1)
@@ -123,11 +139,11 @@ def filled(raster: np.ndarray) -> np.ndarray:
     return raster[tuple(index)]
 
 
-def _lowest(cloud: Cloud) -> np.ndarray:
+def _lowest(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
     """Whether each point is ground, bool (n,)."""
-    row, column, shape = _cells(cloud)
+    row, column, shape = _cells(x_m, y_m)
     lowest = np.full(shape, np.inf)
-    np.minimum.at(lowest, (row, column), cloud.z_m)
+    np.minimum.at(lowest, (row, column), z_m)
     lowest[np.isinf(lowest)] = np.nan
     surface = filled(lowest)
     low = scipy.ndimage.percentile_filter(surface, RULES.low_percentile, 3)
@@ -140,22 +156,22 @@ def _lowest(cloud: Cloud) -> np.ndarray:
         is_object |= opened - after > RULES.ground_slope * radius * RULES.cell_m
         opened = after
     ground = filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
-    return cloud.z_m - ground[row, column] <= RULES.ground_tolerance_m
+    return z_m - ground[row, column] <= RULES.ground_tolerance_m
 
 
 def ground_z_m(cloud: Cloud) -> np.ndarray:
     """The height of the ground at each point, float64 (n,): the mean ground point of its cell or of the nearest."""
-    row, column, (num_rows, _) = _cells(cloud)
+    row, column, (num_rows, _) = _cells(cloud.x_m, cloud.y_m)
     is_ground = cloud.classification == GROUND_CLASS
     if not is_ground.any():
         return np.full(len(cloud), cloud.z_m.min())
     cell = column * num_rows + row
-    count = np.bincount(cell[is_ground])
-    known = np.flatnonzero(count)
-    mean_m = np.bincount(cell[is_ground], cloud.z_m[is_ground])[known] / count[known]
     wanted, of_point = np.unique(cell, return_inverse=True)
+    count = np.bincount(of_point[is_ground])
+    known = np.flatnonzero(count)
+    mean_m = np.bincount(of_point[is_ground], cloud.z_m[is_ground])[known] / count[known]
     # the transform of :func:`filled` gives the same, but loading it is a twentieth of a small run
-    place, at = (np.column_stack(np.divmod(cells, num_rows)) for cells in (known, wanted))
+    place, at = (np.column_stack(np.divmod(cells, num_rows)) for cells in (wanted[known], wanted))
     return mean_m[nearest(place, at)[1][of_point, 0]]
 
 

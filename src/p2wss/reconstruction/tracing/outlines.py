@@ -8,6 +8,7 @@ that neighbours share bit-identical walls. Outlines are those of roofs, which ov
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS, WATER_CLASS, has_class
 from p2wss.data.points import MIN_HEIGHT_M
-from p2wss.reconstruction.points.unclassified import filled
+from p2wss.reconstruction.points.unclassified import filled, patches
 from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
@@ -97,29 +98,13 @@ def outlines_and_crowns(
         raise InputError(
             "no outlines: the cloud has no points on buildings (class 6); give footprints, or classify the points first"
         )
-    raster = rasterised(cloud, settings)
-    if raster.density < _SPARSE:
-        text = (
-            "warning: %.2g points per m2 on buildings: outlines are coarse, and buildings narrower than %.1f m may be"
-            " missing; give footprints, if there are any"
-        )
-        log.warning(text, raster.density, 3 * raster.cell_m)
-    traces = _block_traces(raster, settings)
-    if not traces:
+    found = [*in_patches(cloud, settings)]
+    if not sum(len(shapes) for *_, shapes in found):
         raise InputError(f"no outlines: no building has at least {settings.min_area_m2:g} m2")
-    arrays = polygon_arrays.to_polygons(np.array([trace for trace, _ in traces], dtype=object))
-    point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
-    result: list[shapely.Polygon] = []
-    is_free = has_class(cloud.classification, (GROUND_CLASS, WATER_CLASS))
-    for index, (trace, window) in enumerate(traces):
-        near = np.sort(point[offset[index] : offset[index + 1]])
-        xy_m = np.column_stack([cloud.x_m[near], cloud.y_m[near]])
-        points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
-        result += _of_block(trace, window, points, settings)
-    shapes = np.array(result, dtype=object)
+    shapes = np.concatenate([shapes for *_, shapes in found])
     is_crown = np.zeros(len(shapes), bool)
     if not is_classified:
-        is_crown = crowns(cloud, shapes, raster)
+        is_crown = np.concatenate([crowns(part, shapes, raster) for part, raster, shapes in found])
         if is_crown.all():
             raise InputError(
                 f"no outlines: pulses pass through all {len(shapes)} as through trees; give footprints, or classify"
@@ -131,6 +116,41 @@ def outlines_and_crowns(
             )
     bounds = shapely.bounds(shapes[~is_crown])
     return shapes[~is_crown][np.lexsort((bounds[:, 1], bounds[:, 0]))], shapes[is_crown]
+
+
+def in_patches(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRaster, np.ndarray]]:
+    """(points, their raster, outlines of buildings) of each patch of a cloud that has points of class building."""
+    is_building = cloud.classification == BUILDING_CLASS
+    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
+    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
+    if density < _SPARSE:
+        text = (
+            "warning: %.2g points per m2 on buildings: outlines are coarse, and buildings narrower than %.1f m may be"
+            " missing; give footprints, if there are any"
+        )
+        log.warning(text, density, 3 * cell_m)
+    for rows in patches(cloud):
+        if is_building[rows].any():
+            x_m, y_m, z_m = (column[rows] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
+            part = Cloud(x_m, y_m, z_m, cloud.classification[rows], cloud.crs)
+            raster = _rasterised(part, settings, density, float(cell_m))
+            yield part, raster, _outlines(part, raster, settings)
+
+
+def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines) -> np.ndarray:
+    """The outlines of all buildings of a patch, block by block, an object array."""
+    traces = _block_traces(raster, settings)
+    arrays = polygon_arrays.to_polygons(np.array([trace for trace, _ in traces], dtype=object))
+    point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
+    result: list[shapely.Polygon] = []
+    is_building = cloud.classification == BUILDING_CLASS
+    is_free = has_class(cloud.classification, (GROUND_CLASS, WATER_CLASS))
+    for index, (trace, window) in enumerate(traces):
+        near = np.sort(point[offset[index] : offset[index + 1]])
+        xy_m = np.column_stack([cloud.x_m[near], cloud.y_m[near]])
+        points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
+        result += _of_block(trace, window, points, settings)
+    return np.array(result, dtype=object)
 
 
 def with_plants(cloud: Cloud, crowns: np.ndarray) -> Cloud:
@@ -147,11 +167,9 @@ def outline_features(shapes: np.ndarray, crs: pyproj.CRS) -> Features:
     return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
 
 
-def rasterised(cloud: Cloud, settings: Outlines) -> CloudRaster:
+def _rasterised(cloud: Cloud, settings: Outlines, density: float, cell_m: float) -> CloudRaster:
     """The cells of blocks and buildings. Cells begin at whole multiples of their size, whatever the window."""
     is_building = cloud.classification == BUILDING_CLASS
-    density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
-    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
     column = np.floor(cloud.x_m / cell_m).astype(np.int64)
     row = np.floor(cloud.y_m / cell_m).astype(np.int64)
     first = int(column.min()) - 2, int(row.min()) - 2
@@ -169,7 +187,7 @@ def rasterised(cloud: Cloud, settings: Outlines) -> CloudRaster:
     height_m = _heights(cell[is_building], cloud.z_m[is_building], shape)
     building = _split(block, height_m, settings, cell_m)
     origin_m = first[0] * cell_m, first[1] * cell_m
-    return CloudRaster(building, block, origin_m, float(cell_m), density, cell, height_m)
+    return CloudRaster(building, block, origin_m, cell_m, density, cell, height_m)
 
 
 def crowns(cloud: Cloud, shapes: np.ndarray, raster: CloudRaster) -> np.ndarray:
