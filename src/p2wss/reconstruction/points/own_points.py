@@ -52,7 +52,7 @@ class Rules:
     most_share: where more of a plane's points in the strip than this share are the neighbour's, all of them are.
     roof_share: points of plants are a roof if more than this share of them lie on planes. gap_m, gap, num_around: class
     building has a gap farther from its points than this, and than so many times their distance from the ``num_around``
-    th of them.
+    th of them. gap_m2: it is missed where points as many as class building has on this area are in gaps.
     """
 
     strips_m: tuple[float, ...] = (1.0, 0.5)
@@ -71,11 +71,14 @@ class Rules:
     roof_share: float = 0.5
     gap_m: float = 1.5
     gap: float = 2.0
+    gap_m2: float = 20.0
     num_around: int = 8
 
 
 RULES = Rules()
 _DETECTION = Detection()
+# points that are there many times have no distance
+_LEAST_M = 0.05
 
 
 def with_own_classes(building: Building) -> Building:
@@ -134,11 +137,13 @@ def _with_roofs_as_others(inside: np.ndarray, point_m: np.ndarray, classificatio
     other &= ~has_class(classification, (BUILDING_CLASS, *NEVER_ON_A_BUILDING))
     if not other.any() or len(built_m) <= RULES.num_around:
         return classification
-    around_m = nearest(built_m, built_m, RULES.num_around + 1)[0][:, -1]
-    gap_m = max(RULES.gap_m, RULES.gap * float(np.median(around_m)))
+    around_m = np.median(nearest(built_m, built_m, RULES.num_around + 1)[0][:, -1])
+    around_m = max(_LEAST_M, float(around_m))
+    gap_m = max(RULES.gap_m, RULES.gap * around_m)
     other[other] = nearest(built_m, point_m[other, :2])[0][:, 0] > gap_m
     is_planar = planar(point_m[other])
-    if not is_planar.any() or np.count_nonzero(is_planar) < RULES.roof_share * len(is_planar):
+    least = max(RULES.roof_share * len(is_planar), RULES.gap_m2 * RULES.num_around / (np.pi * around_m**2))
+    if np.count_nonzero(is_planar) < least:
         return classification
     other[other] = is_planar
     return np.where(other, np.uint8(BUILDING_CLASS), classification)
