@@ -20,7 +20,7 @@ from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_stat
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.overlaps import tell, without_overlaps
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
-from p2wss.footprints.vector_files import no_geometry, read_attributes, read_vector
+from p2wss.footprints.vector_files import NO_POLYGONS, no_geometry, read_attributes, read_vector
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import placed
@@ -69,9 +69,7 @@ def read_footprints(
     types = shapely.get_type_id(features.geometry)
     if len(features) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
         is_lost = shapely.is_missing(features.geometry).all()
-        raise InputError(
-            f"{path}: {no_geometry(path) if is_lost else 'has no polygons; footprints must be polygons'}"
-        )
+        raise InputError(f"{path}: {no_geometry(path) if is_lost else NO_POLYGONS}")
     crs = placed(features.crs)
     if crs is None and needs_crs:
         raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")

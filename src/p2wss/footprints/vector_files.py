@@ -29,6 +29,7 @@ T = TypeVar("T")
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
 # the phrase of messages
 _KIND = "a readable vector file"
+NO_POLYGONS = "has no polygons; QGIS makes them of closed lines, as of a DXF (Lines to polygons)"
 _POINT, _LINE, _POLYGON = 1, 2, 3
 # what layers are read for, and how GDAL names its kinds of geometry
 _KINDS = {"polygons": ("Polygon", "Surface"), "lines": ("LineString", "Curve")}

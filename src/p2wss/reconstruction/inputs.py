@@ -422,7 +422,7 @@ def _check_footprints(
         others = (
             f"; its other layers are {', '.join(info['other_layers'])}" if info.get("other_layers") else ""
         )
-        raise InputError(f"{name}: has no polygons; footprints must be polygons{others}")
+        raise InputError(f"{name}: {vector_files.NO_POLYGONS}{others}")
     fields = list(map(str, info["fields"]))
     for column in filter(None, columns):
         if column not in fields:

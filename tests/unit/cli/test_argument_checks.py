@@ -60,7 +60,7 @@ WRONG = [
     ("unstated.laz", "degrees.gpkg", [], "degrees.gpkg is in degrees, which is unlikely for clouds"),
     ("cloud.laz", "gone.gpkg", [], "gone.gpkg: no such file"),
     ("cloud.laz", "none.gpkg", [], "none.gpkg: has no features"),
-    ("cloud.laz", "lines.gpkg", [], "lines.gpkg: has no polygons"),
+    ("cloud.laz", "lines.gpkg", [], "lines.gpkg: has no polygons; QGIS makes them of closed lines"),
     ("cloud.laz", "text.gpkg", [], "text.gpkg: not a readable vector file"),
     ("cloud.laz", "text.parquet", [], "text.parquet: not a readable vector file"),
     ("cloud.laz", "footprints.gpkg", ["--height-field", "h"], "has no column h; its columns are"),

@@ -198,7 +198,7 @@ def test_a_bad_file_is_an_error_of_one_line(tmp_path: Path) -> None:
         read_footprints(tmp_path / "d.gpkg")
     line = shapely.LineString([(0, 0), (1, 1)])
     gpd.GeoDataFrame(geometry=[line], crs="EPSG:2154").to_file(tmp_path / "l.gpkg")
-    with pytest.raises(InputError, match=r"l\.gpkg: has no polygons"):
+    with pytest.raises(InputError, match=r"l\.gpkg: has no polygons; QGIS makes"):
         read_footprints(tmp_path / "l.gpkg")
 
 
