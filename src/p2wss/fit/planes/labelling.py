@@ -52,7 +52,7 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
         part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, np.bool_(True), slots)
         before_m3 = total_m3(part, prices, old)
         part.is_barred[lines == line] = True
-        new = _with_fewer_faces(part, prices, _expanded(part, prices, old, ZERO))
+        new = _with_fewer_faces(part, prices, _relabelled(part, prices, ZERO))
         if total_m3(part, prices, new) < before_m3 - _GAIN_M3:
             choice[cells], problem.is_barred[line] = origin[new[: len(cells)]], True
             label = problem.number[choice]
@@ -135,7 +135,7 @@ def _part(
     """(the problem of some cells alone, its choice today, its candidates and lines as the problem numbers them, a cell
     of each face around). Its candidates are the planes around, and with keeps_own those of the choice today.
 
-    Behind those of all cells are further candidates, the choice today, as it may be of planes that are not around.
+    The choice today is of further candidates, behind those of all cells, as it may be of planes that are not around.
     """
     num_free, num_sides = len(cells), len(problem.pair)
     num_ends = 0
@@ -180,18 +180,16 @@ def _part(
     planes = np.sort(planes[:num_planes])
     slots.plane[planes] = np.arange(num_planes)
     first, origin = np.zeros(len(everything) + 1, np.int64), np.empty(num_candidates + num_free, np.int64)
-    of_cell, count, old = np.empty(num_candidates + num_free, np.int64), 0, np.full(len(everything), -1)
+    of_cell, count = np.empty(num_candidates + num_free, np.int64), 0
     for k, cell in enumerate(everything):
         for t in range(problem.first[cell], problem.first[cell + 1]):
             is_own = t == choice[cell] if k >= num_free else slots.is_around[problem.number[t]]
             if is_own:
-                if t == choice[cell]:
-                    old[k] = count
                 origin[count], of_cell[count], count = t, k, count + 1
         first[k + 1] = count
     origin[count:], of_cell[count:] = choice[cells], np.arange(num_free)
     number, cell_m3 = slots.plane[problem.number[origin]], problem.cell_m3[origin]
-    old = np.where(old < 0, count + np.arange(len(old)), old)
+    old = np.concatenate((np.arange(count, count + num_free), first[num_free:-1]))
     slots.plane[planes], slots.is_around[planes] = -1, False
     # lines, and what steps each has elsewhere
     line, lines, outside_m, num_lines = problem.line[side], np.empty(num, np.int64), np.empty(num), 0
@@ -424,14 +422,10 @@ def _taken(
                 need_m3[cell] += only_one - neither - apart_m3
                 need_m3[other] += apart_m3 - only_one
                 rest_m3[place] = rest_m3[work.back[place]] = apart_m3
-    saves = False
-    for cell in cells[:num]:
-        saves |= need_m3[cell] < -_GAIN_M3
-    if saves:
-        _cut(problem, num, work)
+    _cut(problem, num, work)
     gain_m3, num_taken = 0.0, 0
     for cell in cells[:num]:
-        is_in[cell] = saves and level[cell] <= num
+        is_in[cell] = level[cell] <= num
     for cell in cells[:num]:
         if not is_in[cell]:
             continue
