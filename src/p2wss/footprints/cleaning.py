@@ -19,7 +19,7 @@ from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.overlaps import tell, without_overlaps
-from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
+from p2wss.footprints.schemas import building_ids, by_name, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import NO_POLYGONS, no_geometry, read_attributes, read_vector
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -78,7 +78,8 @@ def read_footprints(
     columns = schema_of(features.columns, schema)
     of_ids: tuple[Mapping[str, np.ndarray], np.ndarray] = features.columns, number
     if bounds is not None:
-        names = [name for name in features.columns if name == id_field or name.lower() in columns.ids]
+        named = by_name(features.columns).items()
+        names = {column: None for name, column in named if column == id_field or name in columns.ids}
         of_ids = read_attributes(path, tuple(names), layer) if names else of_ids
     all_ids = building_ids(*of_ids, columns, id_field, path)
     taken, by_number = taken_part_numbers(all_ids), dict(zip(of_ids[1].tolist(), all_ids, strict=True))

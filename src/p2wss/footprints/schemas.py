@@ -19,6 +19,7 @@ from p2wss.storage.log_lines import log
 METRES_PER_FLOOR = 3.0
 _MAX_HEIGHT_M = 1000.0
 _FOOT_M = 0.3048
+_SHAPEFILE_LENGTH = 10
 _LENGTH = re.compile(r"(\d+\.?\d*|\.\d+)\s*(m|ft|'|)")
 _PART = re.compile(r"(.*)-([1-9][0-9]{0,8})", re.DOTALL)
 
@@ -82,6 +83,27 @@ GENERIC = FootprintSchema(
 )
 
 
+# names that are longer than those of a shapefile
+_LONG = tuple(
+    name
+    for each in (*SCHEMAS.values(), GENERIC)
+    for names in (*each.evidence, each.ids, each.heights_m, *each.roof_and_ground, each.floors)
+    for name in names
+    if len(name) > _SHAPEFILE_LENGTH
+)
+
+
+def by_name(columns: Collection[str]) -> dict[str, str]:
+    """The columns by their names in lower case, and by longer names of schemas of which shapefiles keep ten characters.
+
+    >>> by_name(["building_i", "AREA"])["building_id"]
+    'building_i'
+    """
+    lower = {str(column).lower(): column for column in columns}
+    whole = {name: lower[name[:_SHAPEFILE_LENGTH]] for name in _LONG if name[:_SHAPEFILE_LENGTH] in lower}
+    return {**whole, **lower}
+
+
 def schema_of(columns: Collection[str], name: str = "auto") -> FootprintSchema:
     """The schema of this name, or for "auto" the one recognised from the columns, :data:`GENERIC` if none."""
     if name != "auto":
@@ -95,7 +117,7 @@ def detected(columns: Collection[str]) -> str | None:
     >>> detected(["id", "sources", "height"]), detected(["identificatie"]), detected(["name"])
     ('overture', 'bag', None)
     """
-    lower = {str(column).lower() for column in columns}
+    lower = set(by_name(columns))
     # a file that states our own id is not from a source
     if "building_id" in lower and "sources" not in lower:
         return None
@@ -121,18 +143,18 @@ def building_ids(
 
     Raises :class:`InputError` if there is no column ``id_field``.
     """
-    by_name = {column.lower(): column for column in columns}
-    if {"osm_id", "osm_way_id"} <= set(by_name):  # GDAL states one of them: that of a relation, or of a way
-        relation, way = columns[by_name["osm_id"]], columns[by_name["osm_way_id"]]
+    column_of = by_name(columns)
+    if {"osm_id", "osm_way_id"} <= set(column_of):  # GDAL states one of them: that of a relation, or of a way
+        relation, way = columns[column_of["osm_id"]], columns[column_of["osm_way_id"]]
         is_way = is_missing(relation) & ~is_missing(way)
         ids = np.where(is_way, np.array(_as_text(way), object), np.array(_as_text(relation), object))
         ids[is_missing(relation) & is_missing(way)] = None
-        columns = {**columns, by_name["osm_id"]: ids}
+        columns = {**columns, column_of["osm_id"]: ids}
     if id_field is not None:
         _column(columns, id_field, path)
         candidates = [id_field]
     else:
-        candidates = [by_name[name] for name in schema.ids if name in by_name]
+        candidates = [column_of[name] for name in schema.ids if name in column_of]
         candidates = [
             column for column in candidates if not is_missing(columns[column]).all() or not len(number)
         ]
@@ -234,7 +256,7 @@ def stated_heights_m(
     as "12.5 m" or "40 ft" too. Raises :class:`InputError` if there is no column ``height_field``.
     """
     columns = with_others(features.columns, (*schema.heights_m, *schema.floors))
-    by_name = {name.lower(): values for name, values in columns.items()}
+    values_of = {name: columns[column] for name, column in by_name(columns).items()}
     candidates = []
     if height_field is not None:
         values = _column(features.columns, height_field, path)
@@ -247,13 +269,13 @@ def stated_heights_m(
                 height_field,
                 stated[0],
             )
-    candidates += [_metres(by_name[name]) for name in schema.heights_m if name in by_name]
+    candidates += [_metres(values_of[name]) for name in schema.heights_m if name in values_of]
     candidates += [
-        _metres(by_name[roof]) - _metres(by_name[ground])
+        _metres(values_of[roof]) - _metres(values_of[ground])
         for roof, ground in schema.roof_and_ground
-        if roof in by_name and ground in by_name
+        if roof in values_of and ground in values_of
     ]
-    candidates += [METRES_PER_FLOOR * _metres(by_name[name]) for name in schema.floors if name in by_name]
+    candidates += [METRES_PER_FLOOR * _metres(values_of[name]) for name in schema.floors if name in values_of]
     result = np.full(len(features), np.nan)
     for height_m in candidates:
         is_plausible = np.isnan(result) & (height_m > 0) & (height_m <= _MAX_HEIGHT_M)

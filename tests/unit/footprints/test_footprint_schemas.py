@@ -40,10 +40,11 @@ def ids(table: pd.DataFrame, schema: FootprintSchema) -> list[str]:
     return building_ids(columns_of(table), table.index.to_numpy(), schema, None, "f")
 
 
+@pytest.mark.parametrize("length", [None, 10], ids=["whole", "as of a shapefile"])
 @pytest.mark.parametrize("name", SOURCES)
-def test_each_source_is_known_by_its_columns(name: str) -> None:
+def test_each_source_is_known_by_its_columns(name: str, length: int | None) -> None:
     columns, building_id, height_m = SOURCES[name]
-    table = pd.DataFrame([columns])
+    table = pd.DataFrame([columns]).rename(columns=lambda column: column[:length])
     assert detected(list(table.columns)) == name
     for schema in (schema_of(list(table.columns)), SCHEMAS[name]):
         assert ids(table, schema) == [building_id]
@@ -64,6 +65,12 @@ def test_a_column_of_heights_without_a_number_is_told(
     table = features(pd.DataFrame({"material": values}))
     stated_heights_m(table, schema_of([]), "material", "f")
     assert ("no height is used of column material, as none is a number: 'brick'" in caplog.text) == is_told
+
+
+def test_names_of_which_a_shapefile_keeps_ten_characters() -> None:
+    own = pd.DataFrame({"id": ["x", "x"], "building_i": ["a", "b"], "building_h": [8.0, 9.0]})
+    assert ids(own, schema_of(own.columns)) == ["a", "b"]
+    assert stated_heights_m(features(own), schema_of(own.columns), None, "x").tolist() == [8.0, 9.0]
 
 
 def test_heights_as_text() -> None:
