@@ -93,14 +93,15 @@ class Detection(NamedTuple):
     # than the next figure in metres
     angle_deg: float = 25.0
     rough_m: float = 0.1
-    # a plane has this area of points, on its slope, and this many
+    # a plane has this area of points, on its slope; one that grows along the surfaces around points has so many
     min_area_m2: float = 1.0
     min_points: int = 8
     # per square metre: fewer points are sparse, and the surface around one of them shows nothing
     sparse_per_m2: float = 3.0
+    # of those, and of others that no plane has grown over: points nearest to each
     num_sparse_neighbours: int = 8
-    # so few of them show a level roof, so many a slope; of at most so many points in all, of which so many are on a
-    # square metre, each one shows a level roof; swept on thinned clouds
+    # so few show a level roof, so many a slope; of at most so many points in all, of which so many are on a square
+    # metre, each one shows a level roof; swept on thinned clouds
     min_sparse_points: int = 2
     min_slope_points: int = 3
     num_few_points: int = 300

@@ -72,28 +72,33 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre. along: directions of the
     footprint, radians.
 
-    Planes grow from the places where the points are most even. Where points are so few that the surface around one of
-    them shows nothing, the largest plane that rises along a direction of the footprint is taken, again and again.
-    Points then go to the best of the planes around them and planes to their points, and two planes become one where a
-    single plane is hardly further from the points.
+    Planes grow from the places where the points are most even. Of the points left by these, where smaller ones may
+    have fewer than a grown one needs, as of all points where the surface around one shows nothing, the largest plane
+    that rises along a direction of the footprint is taken, again and again. Points then go to the best of the planes
+    around them and planes to their points, and two planes become one where a single plane is hardly further from the
+    points.
     """
     is_sparse = density < settings.sparse_per_m2
     count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
     is_enough = density >= settings.single_per_m2 and len(point_m) <= settings.num_few_points
-    fewest = settings.min_points if not is_sparse else 1 if is_enough else settings.min_sparse_points
-    min_points = max(fewest, int(settings.min_area_m2 * density))
+    min_points = max(1 if is_enough else settings.min_sparse_points, int(settings.min_area_m2 * density))
     point_m = np.ascontiguousarray(point_m, float)
     _, neighbour = nearest(point_m, point_m, count)
     if not is_sparse and _on_lines(point_m, neighbour, settings):
         _, neighbour = nearest(point_m, point_m, min(2 * count, len(point_m)))
-    if is_sparse:
-        bearing = np.concatenate([along, np.add(along, np.pi / 2)])
-        axis = np.column_stack([np.cos(bearing), np.sin(bearing)])
-        plane, label = _largest(point_m, neighbour, axis, min_points, settings)
-    else:
+    plane, label = np.zeros((0, 3)), np.full(len(point_m), -1)
+    if not is_sparse:
         normal, rough_m = _surfaces(point_m, neighbour)
         order = np.argsort(rough_m, kind="stable")
-        plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
+        fewest = max(min_points, settings.min_points)
+        plane, label = _grown(point_m, neighbour, normal, rough_m, order, fewest, settings)
+    # scattered points, which show no surface, show no small one
+    if is_sparse or (len(plane) and min_points < settings.min_points):
+        bearing = np.concatenate([along, np.add(along, np.pi / 2)])
+        axis = np.column_stack([np.cos(bearing), np.sin(bearing)])
+        near = np.ascontiguousarray(neighbour[:, : settings.num_sparse_neighbours])
+        rest, label = _largest(point_m, near, label, axis, min_points, settings)
+        plane = np.vstack([plane, rest])
     if len(plane):
         plane, label = _settled(point_m, plane, label, neighbour, settings)
         plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
@@ -254,17 +259,27 @@ def _grown(
 
 @entry
 def _largest(
-    point_m: np.ndarray, neighbour: np.ndarray, axis: np.ndarray, min_points: int, settings: Detection
+    point_m: np.ndarray,
+    neighbour: np.ndarray,
+    label: np.ndarray,
+    axis: np.ndarray,
+    min_points: int,
+    settings: Detection,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(planes (k, 3), label (m,)): of the planes through a point that are level, or that rise along an ``axis`` (a, 2)
-    to a neighbour, the one nearest to most connected points, and so on with the points that are left."""
+    """(further planes (k, 3), label (m,)): of the planes through a point of none that are level, or that rise along an
+    ``axis`` (a, 2) to a neighbour, the one nearest to most connected points of none, and so on with those left."""
     num, num_near = neighbour.shape
-    label, seen = np.full(num, -1), np.full(num, -1)
+    label, seen, first = label.copy(), np.full(num, -1), label.max() + 1
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
     num_trials, min_slope_points = 0, max(min_points, settings.min_slope_points)
-    # of very many points, some that showed nothing
+    # those that too few are around, and of very many points, some that showed nothing
     is_tried = np.zeros(num, np.bool_)
+    for row in range(num):
+        num_left = 0
+        for near in neighbour[row]:
+            num_left += label[near] < 0
+        is_tried[row] = num_left < min(min_points, num_near)
     while True:
         left = np.flatnonzero(label < 0)
         free = left[~is_tried[left]]
@@ -320,7 +335,7 @@ def _largest(
             is_tried[seeds] = True
             continue
         for t in range(best_count):
-            label[best_rows[t]] = num_planes
+            label[best_rows[t]] = first + num_planes
         plane[num_planes] = _fit(point_m, best_rows, best_count, settings.noise_m)
         num_planes += 1
 

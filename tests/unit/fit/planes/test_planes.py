@@ -217,6 +217,19 @@ def test_the_least_area_of_a_plane_is_that_of_its_surface(num_along: int, num_pl
     assert len(found.plane) == num_planes
 
 
+@pytest.mark.parametrize(("num_along", "num_planes"), [(3, 2), (1, 1)])
+def test_a_dormer_of_few_points_is_found_beside_a_slope_of_many(num_along: int, num_planes: int) -> None:
+    """With four points per square metre, a dormer of 1.5 m2 has fewer points than surfaces around them need; of 0.5 m2
+    it is none."""
+    grid_m = np.stack(np.meshgrid(np.arange(16.0), np.arange(12.0)), axis=-1).reshape(-1, 2) / 2
+    (x, y), z_m = grid_m.T, 3 + 0.7 * grid_m[:, 1]
+    is_on = (x > 3.9) & (x < 3.9 + num_along / 2) & (y > 2.9) & (y < 3.9)
+    z_m[is_on] = 6.2
+    found = detect(np.column_stack([grid_m, z_m]), 4.0, (0.0,), PLANES.detection)
+    assert len(found.plane) == num_planes
+    assert (found.plane[found.label[is_on]] == [0.0, 0.0, 6.2]).all() == (num_planes == 2)
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
