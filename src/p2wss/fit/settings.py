@@ -26,6 +26,9 @@ class Parametric:
     num_points: int = 300
     # metres: larger residuals count as this
     cap_m: float = 1.0
+    # a plane that brings its points nearer to the roof by less than this in all is no candidate: hardly any face is
+    # cheaper; swept
+    least_m3: float = 0.3
     # metres: the least squares take no larger ones
     reach_m: float = 1.0
     # metres that another class of an edge gains, with so many points; proportionally more with fewer; swept
@@ -196,6 +199,9 @@ class PlanePrices(NamedTuple):
     small_step_m: float = 0.4
     # metres: larger residuals count as this
     cap_m: float = 1.0
+    # a plane that brings its points nearer to the roof by less than this in all is no candidate: hardly any face is
+    # cheaper; swept
+    least_m3: float = 0.3
     # points per square metre that the roof which a network supposes counts like, and at most like the points; swept on
     # thinned clouds
     supposed_per_m2: float = 0.15
@@ -237,7 +243,7 @@ class Planes(NamedTuple):
     def times(self, factor: float) -> Planes:
         """The thresholds with all prices multiplied."""
         prices = self.prices
-        names = ("face_m3", "edge_m2", "sparse_edge_m", "line_m3")
+        names = ("face_m3", "edge_m2", "sparse_edge_m", "line_m3", "least_m3")
         return self._replace(
             prices=prices._replace(**{name: factor * getattr(prices, name) for name in names})
         )

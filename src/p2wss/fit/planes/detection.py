@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from p2wss.fit.points import every_kth
-from p2wss.fit.settings import Detection
+from p2wss.fit.settings import Detection, PlanePrices
 from p2wss.skeleton.compiled import ZERO, both, entry, inner
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.ordering import sorted_by
@@ -23,10 +23,12 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class RoofPlanes:
-    """plane: (k, 3). label: int (m,), the plane of each point, -1 for none."""
+    """plane: (k, 3). label: int (m,), the plane of each point, -1 for none. neighbour: int (m, n), of each point those
+    nearest to it, by which planes are beside each other."""
 
     plane: np.ndarray
     label: np.ndarray
+    neighbour: np.ndarray
 
 
 def heights(plane: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
@@ -102,7 +104,64 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     if len(plane):
         plane, label = _settled(point_m, plane, label, neighbour, settings)
         plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
-    return RoofPlanes(plane, label)
+    return RoofPlanes(plane, label, neighbour)
+
+
+def payable(
+    point_m: np.ndarray, found: RoofPlanes, plane: np.ndarray, stands_m2: float, prices: PlanePrices
+) -> RoofPlanes:
+    """The planes (k, 3), of points (m, 3) labelled as ``found``, without those which no roof would pay for: with that
+    around each of its points which is nearest to it instead, and no more than ``cap_m`` from it, its points would be
+    further away by less than ``least_m3`` in all. Points of such a plane go to the one nearest to them. stands_m2: the
+    area that a point stands for."""
+    is_kept, label = _paid(point_m, found.neighbour, plane, found.label, stands_m2, prices)
+    number = np.append(np.cumsum(is_kept) - 1, -1)
+    return RoofPlanes(plane[is_kept], number[label], found.neighbour)
+
+
+@entry
+def _paid(
+    point_m: np.ndarray,
+    neighbour: np.ndarray,
+    plane: np.ndarray,
+    label: np.ndarray,
+    stands_m2: float,
+    prices: PlanePrices,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(whether each plane is kept, labels): in each round those that save least, but none beside another."""
+    label, is_kept = label.copy(), np.ones(len(plane), np.bool_)
+    saved_m3, is_beside = np.empty(len(plane)), np.empty(len(plane), np.bool_)
+    other = np.empty(len(label), np.int64)
+    while True:
+        saved_m3[:], other[:] = 0.0, -1
+        for row in np.flatnonzero(label >= 0):
+            best_m = prices.cap_m
+            for near in label[neighbour[row]]:
+                if near >= 0 and near != label[row]:
+                    off_m = abs(_rise(plane[near], point_m[row]))
+                    if off_m < best_m:
+                        best_m, other[row] = off_m, near
+            own_m = min(abs(_rise(plane[label[row]], point_m[row])), prices.cap_m)
+            saved_m3[label[row]] += stands_m2 * (best_m - own_m)
+        begin, rows = sorted_by(label + 1, len(plane) + 1)
+        is_beside[:], num_gone = ~is_kept, 0
+        for p in np.argsort(saved_m3, kind="mergesort"):
+            if is_beside[p] or saved_m3[p] >= prices.least_m3:
+                continue
+            is_kept[p], num_gone = False, num_gone + 1
+            for row in rows[begin[p + 1] : begin[p + 2]]:
+                for near in label[neighbour[row]]:
+                    if near >= 0:
+                        is_beside[near] = True
+                label[row] = other[row] if other[row] >= 0 and is_kept[other[row]] else -1
+        if not num_gone:
+            return is_kept, label
+
+
+@inner
+def _rise(plane: np.ndarray, point_m: np.ndarray) -> float:
+    """How far a plane (3,) is above a point."""
+    return plane[0] * point_m[0] + plane[1] * point_m[1] + plane[2] - point_m[2]
 
 
 def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -> bool:
@@ -145,8 +204,7 @@ def _fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.
 @inner
 def _distance(plane: np.ndarray, point: np.ndarray) -> float:
     """The distance of a point from a plane."""
-    off = plane[0] * point[0] + plane[1] * point[1] + plane[2] - point[2]
-    return abs(off) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
+    return abs(_rise(plane, point)) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
 
 
 @inner

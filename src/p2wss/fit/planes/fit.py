@@ -12,7 +12,7 @@ import shapely
 from p2wss.fit.directions import directions, edge_ends
 from p2wss.fit.planes.arrangement import Arrangement, TooManyPlacesError, arrange, by_member
 from p2wss.fit.planes.costs import Costs, candidates_of, costs_of
-from p2wss.fit.planes.detection import detect, height_over
+from p2wss.fit.planes.detection import detect, height_over, payable
 from p2wss.fit.planes.known import (
     between_lines,
     known_lines,
@@ -127,6 +127,8 @@ def fit_planes(
     if not len(found.plane):
         return None
     plane = regular(found, point_m, along, settings.detection)
+    found = payable(point_m, found, plane, 1 / density, settings.prices)
+    plane = found.plane
     corner_m = np.concatenate(rings)
     top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
     slope = plane[found.label[top], :2]

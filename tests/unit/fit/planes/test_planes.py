@@ -18,7 +18,7 @@ from p2wss.fit.directions import directions
 from p2wss.fit.planes import lines
 from p2wss.fit.planes.arrangement import GRID_M, _pieces, arrange
 from p2wss.fit.planes.costs import candidates_of, costs_of
-from p2wss.fit.planes.detection import RoofPlanes, _merged, detect, height_over, heights
+from p2wss.fit.planes.detection import RoofPlanes, _merged, detect, height_over, heights, payable
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import Line, edges_of, ends_of, lines_of
@@ -258,10 +258,34 @@ def test_planes_that_agree_are_the_same_but_for_others_of_their_slope() -> None:
     point_m = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     found = truth + np.array([[0, 0, 0.001], [0, 0, -0.003], [0, 0, 0], [0, 0, 0]])
 
-    plane = regular(RoofPlanes(found, np.repeat(np.arange(4), 200)), point_m, [0.0], PLANES.detection)
+    planes = RoofPlanes(found, np.repeat(np.arange(4), 200), np.zeros((800, 1), int))
+    plane = regular(planes, point_m, [0.0], PLANES.detection)
 
     assert (plane[0] == plane[1]).all()
     assert len(np.unique(plane, axis=0)) == 3
+
+
+@pytest.mark.parametrize(("step_m", "num_kept"), [(0.2, 1), (1.0, 2)])
+def test_a_plane_that_saves_less_than_a_face_costs_is_no_candidate(step_m: float, num_kept: int) -> None:
+    # 1 m2 above a roof, at 4 points per m2
+    x, y = np.meshgrid(np.arange(8) / 2, np.arange(8) / 2)
+    is_on = ((x > 0.9) & (x < 1.6) & (y > 0.9) & (y < 1.6)).ravel()
+    point_m = np.column_stack([x.ravel(), y.ravel(), 5 + step_m * is_on])
+    _, neighbour = cKDTree(point_m[:, :2]).query(point_m[:, :2], 9)
+    plane = np.array([[0, 0, 5], [0, 0, 5 + step_m]])
+    found = payable(point_m, RoofPlanes(plane, is_on.astype(int), neighbour), plane, 0.25, PLANES.prices)
+    assert found.plane.tolist() == plane[:num_kept].tolist()
+    assert found.label.tolist() == (is_on * (num_kept - 1)).tolist()
+
+
+def test_of_two_planes_that_save_little_beside_each_other_one_stays() -> None:
+    # 1 m2 each, 6 cm apart; without both, there would be no roof
+    height_m = 5 + 0.06 * np.repeat([0, 1], 4)
+    point_m = np.column_stack([np.arange(8) / 2, np.zeros(8), height_m])
+    plane = np.array([[0, 0, 5], [0, 0, 5.06]])
+    planes = RoofPlanes(plane, np.repeat([0, 1], 4), np.tile(np.arange(8), (8, 1)))
+    found = payable(point_m, planes, plane, 0.25, PLANES.prices)
+    assert len(found.plane) == 1 and (found.label == 0).all()
 
 
 def test_faces_of_a_solid_are_those_of_its_planes_however_little_these_differ() -> None:
