@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -20,6 +21,7 @@ from p2wss.reconstruction.outputs.attributes import table as reconstruct_table
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.registration import register as registration
 from p2wss.reconstruction.registration.blocks import find_blocks
+from p2wss.reconstruction.registration.footprint_flags import contradictions
 from p2wss.reconstruction.registration.register import (
     EDGES,
     NOTHING,
@@ -452,3 +454,23 @@ def test_footprints_that_the_border_of_the_cloud_cuts_are_flagged(registers: int
     assert [row.flags for row in rows] == [(), ("beyond-points",), ()]
     _, rows = register(Features.of(frame_of([BLOCK[0], long])), cloud)
     assert [row.flags for row in rows] == [(), ()]
+
+
+def test_a_footprint_far_larger_than_the_cloud_takes_the_work_of_the_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A border of 100 by 100 km, of which a cloud covers a house: the cells of 3 m that it has are never made."""
+    num_boxes, box = 0, shapely.box
+
+    def counted(*sides_m: Any) -> Any:
+        nonlocal num_boxes
+        num_boxes += len(sides_m[0])
+        assert num_boxes < 1e4
+        return box(*sides_m)
+
+    cloud = cloud_of(BLOCK[0])
+    border = shapely.buffer(BLOCK[0], 5e4, quad_segs=2)
+    shapes = polygon_arrays.to_polygons(np.array([affinity.translate(border, *ORIGIN)], object))
+    monkeypatch.setattr(shapely, "box", counted)
+    assert "beyond-points" in contradictions(shapes, cloud).flags[0]
+    assert num_boxes > 0

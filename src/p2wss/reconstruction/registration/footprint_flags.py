@@ -104,13 +104,23 @@ def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
         if shape.is_empty:
             continue
         low_x, low_y, high_x, high_y = np.floor(np.array(shape.bounds) / size_m)
-        place = np.add.outer(np.arange(low_x, high_x + 1), 1j * np.arange(low_y, high_y + 1)).ravel()
-        far = place[np.searchsorted(near, place) == np.searchsorted(near, place, "right")]
-        if len(far):
-            x_m, y_m = size_m * far.real, size_m * far.imag
-            box = shapely.box(x_m, y_m, x_m + size_m, y_m + size_m)
-            result[k] = shapely.area(shapely.intersection(shape, box)).sum()
+        some = near[slice(*np.searchsorted(near.real, [low_x, high_x + 1]))]
+        some = some[(some.imag >= low_y) & (some.imag <= high_y)]
+        num_far = (high_x - low_x + 1) * (high_y - low_y + 1) - len(some)
+        if num_far > len(some):  # what is near is less work: of a footprint of a country, far less
+            result[k] = shape.area - _area_in(shape, some, size_m)
+        elif num_far:
+            place = np.add.outer(np.arange(low_x, high_x + 1), 1j * np.arange(low_y, high_y + 1)).ravel()
+            far = place[np.searchsorted(near, place) == np.searchsorted(near, place, "right")]
+            result[k] = _area_in(shape, far, size_m)
     return result
+
+
+def _area_in(shape: shapely.Polygon, cell: np.ndarray, size_m: float) -> float:
+    """The area of a polygon in cells, numbered by complex numbers."""
+    x_m, y_m = size_m * cell.real, size_m * cell.imag
+    box = shapely.box(x_m, y_m, x_m + size_m, y_m + size_m)
+    return float(shapely.area(shapely.intersection(shape, box)).sum())
 
 
 def _of_nearest(
