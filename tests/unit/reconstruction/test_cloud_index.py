@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -109,6 +110,24 @@ def test_nothing_to_read(tmp_path: Path) -> None:
         assert points.has_points(np.array([0.0, np.nan]), np.zeros(2)).tolist() == [False, False]
     with CloudIndex(np.array([[0.0, 0, 1, 1]]), tmp_path) as points:
         assert len(points.near(np.array([[0.0, 0, 1, 1]]))) == 0
+
+
+def test_memory_is_that_of_the_points_wherever_they_and_the_boxes_are(tmp_path: Path) -> None:
+    """A box of a country, houses 1,000 km apart: not a cell for what has no point."""
+    near = cloud_of(2_000, 300)
+    far = replace(near, x_m=near.x_m + 1e6, y_m=near.y_m + 7e5)
+    country = np.array([[-1e7, -1e7, 1e7, 1e7]])
+    tracemalloc.start()
+    with index_of(near, country, tmp_path) as points:
+        for chunk in chunks(far, 700):
+            points.append(chunk)
+        assert points.num_points == points.count(country) == len(points.near(country)) == 4_000
+        assert (
+            points.count(country / 1e4) == 2_000 and not points.has_points(np.zeros(1), np.array([1e5])).any()
+        )
+        assert points.bounds[0] <= -1e7 and len(points.places_m) < 100
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
 
 
 def test_the_file_has_no_name_and_a_full_disk_is_one_line(

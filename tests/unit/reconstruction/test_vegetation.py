@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import geopandas as gpd
@@ -76,6 +77,19 @@ def test_a_plant_does_not_depend_on_the_window(tmp_path: Path) -> None:
     whole = {plant.name: plant for plant in found(5, WINDOW, tmp_path)}
     (part,) = found(5, (240.0, 0.0, 280.0, 60.0), tmp_path)
     np.testing.assert_array_equal(part.mesh.vertex_m, whole[part.name].mesh.vertex_m)
+
+
+def test_where_there_are_no_points_nothing_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A window of 1,000 by 700 km with plants in one corner of it takes no longer than that corner."""
+    num_read, near = 0, CloudIndex.near
+
+    def counted(*args: Any, **options: Any) -> Cloud:
+        nonlocal num_read
+        num_read += 1
+        return near(*args, **options)
+
+    monkeypatch.setattr(CloudIndex, "near", counted)
+    assert len(found(5, (*WINDOW[:2], 1e6, 7e5), tmp_path)) == len(TREES) and num_read < 30
 
 
 def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> None:

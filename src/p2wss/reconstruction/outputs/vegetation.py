@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, product
+from itertools import chain
 
 import numpy as np
 import scipy
@@ -78,7 +78,7 @@ class Plant:
 def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[Plant]:
     """The plants with tops in a window, which the index covers with a margin of 16 m: of points of the classes of
     plants or, where the cloud has none, of what stands above the ground outside ``footprints`` and is no plane."""
-    low_x, low_y, high_x, high_y = (np.floor(window[k] / RULES.tile_m) * RULES.tile_m for k in range(4))
+    outlines = shapely.STRtree(footprints)
 
     def of_tile(corner: tuple[float, float]) -> list[Plant]:
         x, y = corner
@@ -93,18 +93,21 @@ def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[P
         # the producer's classes of plants, even where the others are ours
         own = points.near(np.array([around]), adds_classes=False).classification
         is_plant = np.isin(own, PLANT_CLASSES) if points.has_plants else None
-        return list(_plants(cloud, is_plant, around, tile, footprints)) if len(cloud) else []
+        return list(_plants(cloud, is_plant, around, tile, outlines)) if len(cloud) else []
 
     def none(corner: tuple[float, float], trace: str) -> list[list[Plant]]:
         note(f"vegetation around {corner[0]:.0f} {corner[1]:.0f}", trace, "there is none")
         return [[]]
 
-    corners = product(np.arange(low_x, high_x + 1, RULES.tile_m), np.arange(low_y, high_y + 1, RULES.tile_m))
-    return list(chain(*surviving(lambda some: map(of_tile, some), list(corners), none)))
+    # where there are points
+    corners = np.unique(np.floor(points.places_m / RULES.tile_m), axis=0) * RULES.tile_m
+    first, last = np.floor(np.reshape(window, (2, 2)) / RULES.tile_m) * RULES.tile_m
+    corners = corners[((corners >= first) & (corners <= last)).all(axis=1)]
+    return list(chain(*surviving(lambda some: map(of_tile, some), list(map(tuple, corners.tolist())), none)))
 
 
 def _plants(
-    cloud: Cloud, is_plant: np.ndarray | None, around: Bounds, tile: Bounds, footprints: np.ndarray
+    cloud: Cloud, is_plant: np.ndarray | None, around: Bounds, tile: Bounds, outlines: shapely.STRtree
 ) -> Iterator[Plant]:
     """The plants with tops in a tile. is_plant: bool (n,), by the classes of the producer; None without these."""
     x_m, y_m = cloud.x_m, cloud.y_m
@@ -120,8 +123,8 @@ def _plants(
     chosen = np.flatnonzero(inside & may_be_plant & (height_m >= RULES.min_height_m))
     if is_plant is None:
         chosen = chosen[~planar(np.column_stack([x_m, y_m, cloud.z_m])[chosen])]
-        tree = shapely.STRtree(shapely.points(x_m[chosen], y_m[chosen]))
-        near = tree.query(footprints, predicate="dwithin", distance=RULES.beside_m)[1]
+        place = shapely.points(x_m[chosen], y_m[chosen])
+        near = outlines.query(place, predicate="dwithin", distance=RULES.beside_m)[0]
         chosen = np.delete(chosen, near)
     label = _basins(row[chosen], column[chosen], height_m[chosen], shape)
     chosen = chosen[label[row[chosen], column[chosen]] > 0]

@@ -1,6 +1,7 @@
 """A cloud in cells on disk: written chunk by chunk, read by places.
 
-Memory holds one chunk and the requested points, however large the cloud is. Points get classes where their
+Memory holds one chunk, the requested points, and a few numbers per cell with points, however large the cloud is, and
+however far its points, or the places of interest, are from each other. Points get classes where their
 producer has none, by :func:`p2wss.reconstruction.points.unclassified.with_classes`; what is read for a place is the
 same whatever else is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
 """
@@ -52,12 +53,12 @@ class CloudIndex(Closeable):
         self.crs: pyproj.CRS | None = None
         self.num_points = 0
         self.has_plants = False
-        square = np.unique(_square(_cells_of(boxes)))
-        self._key = np.unique(_cells_around(square))
-        self._square, self._of_square = np.unique(_square(self._key), return_inverse=True)
-        around = _cells_around(self._square)
-        self._around = _positions(self._key, around.ravel()).reshape(around.shape)
-        self._count = np.zeros((len(_COUNTED), len(self._key)), np.int64)
+        # of whole squares and what is around them
+        first, last = np.split(_windows(boxes) // _SQUARE * _SQUARE, 2, axis=1)
+        self._window = np.unique(np.hstack([first - _AROUND, last + _SQUARE - 1 + _AROUND]), axis=0)
+        # cells with points, ascending, and the numbers of these
+        self._key = np.zeros(0, np.int64)
+        self._count = np.zeros((len(_COUNTED), 0), np.int64)
         # of points of one cell and file: their cell, first and last place in the scratch file, and their file
         self._runs = [np.zeros((0, 4), np.int64)]
         self._paths: list[Path | None] = []
@@ -71,11 +72,16 @@ class CloudIndex(Closeable):
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """What all cells cover, metres; an empty window without cells."""
-        if not len(self._key):
+        if not len(self._window):
             return 0.0, 0.0, 0.0, 0.0
-        row, column = _row_and_column(self._key)
-        low_x, low_y = float(column.min()) * CELL_M, float(row.min()) * CELL_M
-        return low_x, low_y, float(column.max() + 1) * CELL_M, float(row.max() + 1) * CELL_M
+        low_x, low_y = (self._window[:, :2].min(axis=0) * CELL_M).tolist()
+        high_x, high_y = ((self._window[:, 2:].max(axis=0) + 1) * CELL_M).tolist()
+        return low_x, low_y, high_x, high_y
+
+    @property
+    def places_m(self) -> np.ndarray:
+        """x and y of the lower left corners of the cells with points, (n, 2)."""
+        return np.column_stack(_row_and_column(self._key)[::-1]) * CELL_M
 
     def append(self, cloud: Cloud) -> None:
         """Add a chunk; points outside the cells are dropped."""
@@ -90,8 +96,11 @@ class CloudIndex(Closeable):
         number = self._num_read + np.arange(chunk.stop - chunk.start)
         self._num_read += len(number)
         x_m, y_m = cloud.x_m[chunk], cloud.y_m[chunk]
-        cell = _positions(self._key, _key_of(x_m, y_m))
-        rows = np.flatnonzero(cell >= 0)
+        cell = _key_of(x_m, y_m)
+        cells, of_point = np.unique(cell, return_inverse=True)
+        is_here = np.zeros(len(cells), bool)
+        is_here[_within(cells, self._window)] = True
+        rows = np.flatnonzero(is_here[of_point])
         rows = rows[np.argsort(cell[rows], kind="stable")]
         if not len(rows):
             return
@@ -102,10 +111,14 @@ class CloudIndex(Closeable):
             if values is not None:
                 records[name] = values[chunk][rows]
         cell, classes = cell[rows], cloud.classification[chunk][rows]
+        starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
+        known, place = np.unique(np.append(self._key, cell[starts]), return_inverse=True)
+        count = np.zeros((len(_COUNTED), len(known)), np.int64)
+        count[:, place[: len(self._key)]] = self._count
         for k, number_of_class in enumerate(_COUNTED):
-            chosen = slice(None) if number_of_class is None else classes == number_of_class
-            self._count[k] += np.bincount(cell[chosen], minlength=len(self._key))
-        starts = np.flatnonzero(np.diff(cell, prepend=-1))
+            is_counted = (classes >= 0) if number_of_class is None else classes == number_of_class
+            count[k, place[len(self._key) :]] += np.add.reduceat(is_counted, starts, dtype=np.int64)
+        self._key, self._count = known, count
         self.num_points += len(rows)
         self._write(records, cell[starts], starts, len(self._paths) - 1)
 
@@ -126,17 +139,19 @@ class CloudIndex(Closeable):
             self._runs.append(own)
             if len(own) == 0 or own[0, 3] == own[-1, 3]:
                 continue
-            records, cell = self._records(own), own[:1, 0]
+            records, key = self._records(own), own[:1, 0]
             file = np.repeat(own[:, 3], own[:, 2] - own[:, 1])
             again, num_points = repeated(records["x_m"], records["y_m"], records["z_m"], file)
             if again.any():
                 told += num_points
                 self._runs.pop()
-                self._write(records[~again], cell, np.zeros(1, np.int64), -1)
+                self._write(records[~again], key, np.zeros(1, np.int64), -1)
                 self.num_points -= int(again.sum())
                 classes = records["classification"][again]
                 for k, number in enumerate(_COUNTED):
-                    self._count[k, cell] -= len(classes) if number is None else (classes == number).sum()
+                    self._count[k, _positions(self._key, key)] -= (
+                        len(classes) if number is None else (classes == number).sum()
+                    )
         self._runs = [np.concatenate(self._runs)]
         tell_repeated(told, self._paths)
 
@@ -147,28 +162,25 @@ class CloudIndex(Closeable):
         Points of a square of two by two cells get classes if no point of class ground, or none of class building, is
         in the four by four cells around its centre. boxes: within those of the index.
         """
-        cells = _positions(self._key, _cells_of(boxes))
-        cells = cells[cells >= 0]
+        cells = self._key[_within(self._key, _windows(boxes))]
         cloud, number = self._read(cells)
-        square = np.unique(self._of_square[cells])
+        square = np.unique(_square(cells))
         has_all = self._has(square, GROUND_CLASS) & self._has(square, BUILDING_CLASS)
         if has_all.all() or not (adds_classes and self._adds_classes):
             return cloud
         classes, order = cloud.classification.copy(), np.argsort(number)
         ascending = number[order]
         for k in square[~has_all].tolist():
-            around, number_around = self._read(self._around[k])
+            around, number_around = self._read(_cells_around(np.array([k])).ravel())
             around, _ = with_classes(around)
-            key = _key_of(around.x_m, around.y_m)
-            inside = _square(key) == self._square[k]
+            inside = _square(_key_of(around.x_m, around.y_m)) == k
             place = _positions(ascending, number_around[inside])
             classes[order[place[place >= 0]]] = around.classification[inside][place >= 0]
         return replace(cloud, classification=classes)
 
     def count(self, boxes: np.ndarray) -> int:
         """The number of points in all cells that boxes touch."""
-        cells = _positions(self._key, _cells_of(boxes))
-        return int(self._count[0][cells[cells >= 0]].sum())
+        return int(self._count[0, _within(self._key, _windows(boxes))].sum())
 
     def has_points(self, x_m: np.ndarray, y_m: np.ndarray, classification: int | None = None) -> np.ndarray:
         """Whether the files have points around each place, bool (n,): in the four by four cells of :meth:`near`.
@@ -177,15 +189,16 @@ class CloudIndex(Closeable):
         """
         result = np.zeros(len(x_m), bool)
         known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
-        key = _key_of(x_m[known], y_m[known])
-        square = _positions(self._square, _square(key))
-        result[known[square >= 0]] = self._has(square[square >= 0], classification)
+        square, of_place = np.unique(_square(_key_of(x_m[known], y_m[known])), return_inverse=True)
+        result[known] = self._has(square, classification)[of_place]
         return result
 
     def _has(self, square: np.ndarray, classification: int | None) -> np.ndarray:
         """Whether there are points around squares, bool (n,)."""
-        around = self._around[square]
-        return ((self._count[_COUNTED.index(classification)][around] > 0) & (around >= 0)).any(axis=1)
+        around = _cells_around(square)
+        place = _positions(self._key, around.ravel()).reshape(around.shape)
+        count = np.append(self._count[_COUNTED.index(classification)], 0)  # the last one is of a missing cell
+        return np.asarray((count[place] > 0).any(axis=1))
 
     def _read(self, cells: np.ndarray) -> tuple[Cloud, np.ndarray]:
         """The points of cells and their numbers, cell by cell in the order in which they were added."""
@@ -234,15 +247,28 @@ def _cells_around(square: np.ndarray) -> np.ndarray:
     return _key(*np.broadcast_arrays(rows, columns)).reshape(len(square), len(steps) ** 2)
 
 
-def _cells_of(boxes: np.ndarray) -> np.ndarray:
-    """All cells that boxes touch, ascending; none for boxes that are not finite."""
-    boxes = np.floor(boxes[np.isfinite(boxes).all(axis=1)] / CELL_M).astype(np.int64)
-    boxes = np.unique(boxes, axis=0)
-    width, height = boxes[:, 2] - boxes[:, 0] + 1, boxes[:, 3] - boxes[:, 1] + 1
-    count = width * height
-    box = np.repeat(np.arange(len(boxes)), count)
-    number = np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count)
-    return np.unique(_key(boxes[box, 1] + number // width[box], boxes[box, 0] + number % width[box]))
+def _windows(boxes: np.ndarray) -> np.ndarray:
+    """First column and row, last column and row of the cells that boxes touch, int64 (n, 4), without order; none of
+    boxes that are not finite."""
+    return np.unique(np.floor(boxes[np.isfinite(boxes).all(axis=1)] / CELL_M).astype(np.int64), axis=0)
+
+
+def _within(ascending: np.ndarray, windows: np.ndarray) -> np.ndarray:
+    """The positions, ascending, of those of some cells that are in one of the windows at least."""
+    rows = np.unique(_row_and_column(ascending)[0])
+    first = np.searchsorted(rows, windows[:, 1])
+    window, row = _ranges(first, np.searchsorted(rows, windows[:, 3], "right"))
+    start = np.searchsorted(ascending, _key(rows[row], windows[window, 0]))
+    return np.unique(
+        _ranges(start, np.searchsorted(ascending, _key(rows[row], windows[window, 2]), "right"))[1]
+    )
+
+
+def _ranges(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All whole numbers of ranges (n,), without the last: (the range of each, the numbers)."""
+    count = np.maximum(last - first, 0)
+    of = np.repeat(np.arange(len(count)), count)
+    return of, np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + first[of]
 
 
 def _positions(ascending: np.ndarray, values: np.ndarray) -> np.ndarray:
