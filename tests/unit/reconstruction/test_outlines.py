@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,9 @@ from shapely import affinity
 import p2wss
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
+from p2wss.reconstruction.points import unclassified
 from p2wss.reconstruction.points.unclassified import with_classes
+from p2wss.reconstruction.tracing import outlines as tracing
 from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns
 from p2wss.storage.errors import InputError
 
@@ -93,6 +96,49 @@ def test_buildings_far_from_each_other_are_as_alone(is_classified: bool) -> None
     together = outlines(with_classes(both)[0], Outlines(), is_classified)
     alone = [outlines(with_classes(each)[0], Outlines(), is_classified) for each in (near, far)]
     assert together.tolist() == np.concatenate(alone).tolist() and len(together) == 2
+
+
+@pytest.mark.parametrize("is_classified", [True, False])
+def test_tile_by_tile_is_as_in_one_raster(is_classified: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles of 10 m, which the sides of all houses cross, and one of which is longer than two tiles."""
+    cloud = scene(
+        (L_SHAPE, 9.0), (shapely.box(-4, 24, 40, 33), 7.0), (shapely.box(26, 0, 40, 9), 6.0), angle_deg=20
+    )
+    if not is_classified:
+        cloud = replace(cloud, classification=np.zeros(len(cloud), np.uint8))
+    whole = with_classes(cloud)[0]
+    expected = outlines(whole, Outlines(), is_classified)
+    monkeypatch.setattr(unclassified, "_MAX_CELLS", 400)
+    monkeypatch.setattr(unclassified, "_TILE_CELLS", 20)
+    monkeypatch.setattr(tracing, "_TILE_MARGIN_M", 6.0)
+    tiled = with_classes(cloud)[0]
+    assert np.array_equal(tiled.classification, whole.classification)
+    assert outlines(tiled, Outlines(), is_classified).tolist() == expected.tolist() and len(expected) == 3
+
+
+def test_a_corridor_takes_no_raster_of_what_is_around_it() -> None:
+    """30 km from the south-west to the north-east, with a house at each end: a raster of it has 10 to the 9 cells."""
+    near = scene((L_SHAPE, 9.0), angle_deg=20)
+    far = replace(near, x_m=near.x_m + 21_000, y_m=near.y_m + 21_000)
+    way_m = np.arange(0, 21_000, 40.0)
+    way = replace(
+        near,
+        x_m=ORIGIN[0] + way_m,
+        y_m=ORIGIN[1] + way_m,
+        z_m=np.full(len(way_m), 2.0),
+        classification=np.full(len(way_m), GROUND, np.uint8),
+    )
+    parts = zip(*(columns(each) for each in (near, way, far)), strict=True)
+    corridor = Cloud(*(np.concatenate(each) for each in parts), crs=LAMBERT)
+    assert len(unclassified.patches(corridor)) == 1
+    tracemalloc.start()
+    together = outlines(corridor, Outlines())
+    assert tracemalloc.get_traced_memory()[1] < 300e6
+    tracemalloc.stop()
+    alone = [outlines(each, Outlines()) for each in (near, far)]
+    assert [*map(shapely.area, together)] == pytest.approx(
+        [*map(shapely.area, np.concatenate(alone))], rel=0.05
+    )
 
 
 def columns(cloud: Cloud) -> tuple[np.ndarray, ...]:

@@ -21,6 +21,7 @@ from p2wss.data.las_classes import (
     WATER_CLASS,
 )
 from p2wss.data.points import MIN_HEIGHT_M
+from p2wss.data.tiling import Bounds, grown
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 
@@ -50,6 +51,11 @@ RULES = Rules()
 _CHUNK = 10_000
 # metres: parts of a cloud that are further apart have nothing to do with each other
 _PATCH_M = 100.0
+# the raster of a patch with more cells is made tile by tile, each of so many cells along a side: a corridor of 50 km is
+# hardly any of what is around it
+_MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
+# metres around a tile in which points tell what is ground in it
+_TILE_MARGIN_M = 200.0
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
@@ -77,7 +83,11 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     if not has_ground:
         is_lowest = np.zeros(len(cloud), bool)
         for rows in patches(cloud):
-            is_lowest[rows] = _lowest(cloud.x_m[rows], cloud.y_m[rows], cloud.z_m[rows])
+            xyz_m = cloud.x_m[rows], cloud.y_m[rows], cloud.z_m[rows]
+            for tile in tiles(*xyz_m[:2], RULES.cell_m):
+                near = np.flatnonzero(in_window(*xyz_m[:2], grown(tile, _TILE_MARGIN_M)))
+                inside = in_window(*xyz_m[:2], tile)[near]
+                is_lowest[rows[near[inside]]] = _lowest(*(values[near] for values in xyz_m))[inside]
         classes = np.where(is_open(classes) & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
         height_m = cloud.z_m - ground_z_m(replace(cloud, classification=classes))
@@ -119,6 +129,21 @@ def patches(cloud: Cloud) -> list[np.ndarray]:
     place = np.column_stack([used.real, used.imag])
     part = groups(len(used), scipy.spatial.KDTree(place).query_pairs(1.5, output_type="ndarray"))[of_point]
     return np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+
+
+def tiles(x_m: np.ndarray, y_m: np.ndarray, cell_m: float) -> list[Bounds]:
+    """Windows of whole cells that are apart and have all points (n,) of a patch, each with some of them: one without
+    limits, unless its raster would be too large."""
+    if np.ptp(x_m) * np.ptp(y_m) <= _MAX_CELLS * cell_m**2:
+        return [(-np.inf, -np.inf, np.inf, np.inf)]
+    side_m = _TILE_CELLS * cell_m
+    corner_m = np.unique(np.floor(np.column_stack([x_m, y_m]) / side_m), axis=0) * side_m
+    return [(x, y, x + side_m, y + side_m) for x, y in corner_m.tolist()]
+
+
+def in_window(x_m: np.ndarray, y_m: np.ndarray, window: Bounds) -> np.ndarray:
+    """Whether each point is in a window, bool (n,); its north and east sides are not."""
+    return np.asarray((x_m >= window[0]) & (x_m < window[2]) & (y_m >= window[1]) & (y_m < window[3]))
 
 
 def _cells(x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:

@@ -24,7 +24,8 @@ from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS, WATER_CLASS, has_class
 from p2wss.data.points import MIN_HEIGHT_M
-from p2wss.reconstruction.points.unclassified import filled, patches
+from p2wss.data.tiling import Bounds, grown
+from p2wss.reconstruction.points.unclassified import filled, in_window, patches, tiles
 from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
@@ -47,6 +48,8 @@ _LEAST_JUMP_M = 0.4
 _MOST_CELLS = 0.5
 # around the trace of a block
 _POINTS_MARGIN_M = 2.0
+# around a tile, at first; and cells beside a block on which its own depend
+_TILE_MARGIN_M, _BESIDE_CELLS = 64.0, 8
 # the grid of seams, and how far a face may reach beyond the outline by rounding
 _GRID_M, _TOLERANCE_M = 1e-3, 0.01
 
@@ -98,13 +101,14 @@ def outlines_and_crowns(
         raise InputError(
             "no outlines: the cloud has no points on buildings (class 6); give footprints, or classify the points first"
         )
-    found = [*in_patches(cloud, settings)]
-    if not sum(len(shapes) for *_, shapes in found):
+    found, are_crowns = [], []
+    for part, raster, own in in_patches(cloud, settings):
+        found.append(own)
+        are_crowns.append(np.zeros(len(own), bool) if is_classified else crowns(part, own, raster))
+    if not sum(map(len, found)):
         raise InputError(f"no outlines: no building has at least {settings.min_area_m2:g} m2")
-    shapes = np.concatenate([shapes for *_, shapes in found])
-    is_crown = np.zeros(len(shapes), bool)
+    shapes, is_crown = np.concatenate(found), np.concatenate(are_crowns)
     if not is_classified:
-        is_crown = np.concatenate([crowns(part, shapes, raster) for part, raster, shapes in found])
         if is_crown.all():
             raise InputError(
                 f"no outlines: pulses pass through all {len(shapes)} as through trees; give footprints, or classify"
@@ -119,7 +123,8 @@ def outlines_and_crowns(
 
 
 def in_patches(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRaster, np.ndarray]]:
-    """(points, their raster, outlines of buildings) of each patch of a cloud that has points of class building."""
+    """(points, their raster, outlines of buildings) of each patch of a cloud that has points of class building, or of
+    each tile of a large one."""
     is_building = cloud.classification == BUILDING_CLASS
     density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
     cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
@@ -130,11 +135,53 @@ def in_patches(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudR
         )
         log.warning(text, density, 3 * cell_m)
     for rows in patches(cloud):
-        if is_building[rows].any():
-            x_m, y_m, z_m = (column[rows] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
-            part = Cloud(x_m, y_m, z_m, cloud.classification[rows], cloud.crs)
-            raster = _rasterised(part, settings, density, float(cell_m))
-            yield part, raster, _outlines(part, raster, settings)
+        patch, is_done = _of_points(cloud, rows), np.zeros(len(rows), bool)
+        for tile in tiles(patch.x_m, patch.y_m, float(cell_m)):
+            is_new = (patch.classification == BUILDING_CLASS) & ~is_done
+            if (is_new & in_window(patch.x_m, patch.y_m, tile)).any():
+                part, raster = _of_tile(patch, tile, is_done, settings, density, float(cell_m))
+                yield part, raster, _outlines(part, raster, settings)
+
+
+def _of_points(cloud: Cloud, rows: np.ndarray) -> Cloud:
+    x_m, y_m, z_m = (column[rows] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
+    return Cloud(x_m, y_m, z_m, cloud.classification[rows], cloud.crs)
+
+
+def _of_tile(
+    patch: Cloud, tile: Bounds, is_done: np.ndarray, settings: Outlines, density: float, cell_m: float
+) -> tuple[Cloud, CloudRaster]:
+    """The points in a tile and as far around it as its blocks are whole, and their raster, with these blocks only.
+    is_done: bool, points of the patch in blocks of other tiles, to which those of these blocks are added."""
+    margin_m = _TILE_MARGIN_M
+    while True:
+        window = grown(tile, margin_m)
+        rows = np.flatnonzero(in_window(patch.x_m, patch.y_m, window))
+        part = _of_points(patch, rows)
+        raster = _rasterised(part, settings, density, cell_m)
+        of_point, count = raster.block.ravel()[raster.cell], int(raster.block.max()) + 1
+        is_own = np.bincount(raster.block[_cells_of(raster, tile, 0)].ravel(), minlength=count) > 0
+        is_own[of_point[is_done[rows]]] = False
+        is_own[0] = False
+        is_border = np.ones(raster.block.shape, bool)
+        is_border[_cells_of(raster, window, _BESIDE_CELLS)] = False
+        if not is_own[raster.block[is_border]].any():
+            break
+        margin_m *= 2
+    is_done[rows[is_own[of_point]]] = True
+    block = np.where(is_own, np.cumsum(is_own), 0).astype(np.int32)[raster.block]
+    return part, replace(raster, block=block, building=np.where(block, raster.building, 0))
+
+
+def _cells_of(raster: Raster, window: Bounds, num_less: int) -> tuple[slice, slice]:
+    """The rows and columns of a raster in a window of whole cells, without so many at its sides."""
+    low, high = (
+        (np.reshape(window, (2, 2))[k] - raster.origin_m) / raster.cell_m + side * num_less
+        for k, side in ((0, 1), (1, -1))
+    )
+    most = np.array(raster.block.shape)[::-1]
+    low, high = (np.rint(np.clip(each, 0, most)).astype(int).tolist() for each in (low, high))
+    return slice(low[1], high[1]), slice(low[0], high[0])
 
 
 def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines) -> np.ndarray:
