@@ -95,9 +95,8 @@ class Terrain:
         """Bilinear height at each point, float64 (n,); NaN if one of the four nearest cells is missing or NaN."""
         column = (np.asarray(x_m) - self.x_min_m) / self.cell_m - 0.5
         row = (self.y_max_m - np.asarray(y_m)) / self.cell_m - 0.5
-        heights = self.height_m.astype(np.float64)
         return scipy.ndimage.map_coordinates(
-            heights, [row, column], order=1, mode="constant", cval=np.nan, prefilter=False
+            self.height_m, [row, column], np.float64, order=1, mode="constant", cval=np.nan, prefilter=False
         )
 
 

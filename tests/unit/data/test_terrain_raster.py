@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import control_houses as houses
@@ -167,3 +168,12 @@ def test_a_missing_source_of_a_vrt_is_named(tmp_path: Path) -> None:
     (tmp_path / "t.tif").unlink()
     with pytest.raises(InputError, match=r"t\.vrt: .*t\.tif: No such file"):
         read_terrain(tmp_path / "t.vrt")
+
+
+def test_heights_of_a_few_places_are_read_from_the_raster_as_it_is() -> None:
+    """As numbers of 64 bits it would take twice its memory, for each batch of buildings."""
+    terrain = Terrain(np.ones((1000, 1000), np.float32), 0.0, 1000.0, 1.0)
+    tracemalloc.start()
+    assert terrain.interpolated(np.array([500.0]), np.array([500.0])).tolist() == [1.0]
+    assert tracemalloc.get_traced_memory()[1] < terrain.height_m.nbytes / 10
+    tracemalloc.stop()
