@@ -72,12 +72,44 @@ def crop_points(
     low = polygons.xy_m.min(axis=0) - buffer_m
     extent = polygons.xy_m.max(axis=0) + buffer_m - low
     cell_m = max(_CELL_M, sqrt(float(extent[0] * extent[1]) / _MAX_CELLS))
+    if cell_m > _CELL_M:
+        axis = int(extent.argmax())
+        is_present = np.diff(polygons.vertex_offset) > 0
+        first_m = polygons.xy_m[np.minimum(polygons.vertex_offset[:-1], len(polygons.xy_m) - 1), axis]
+        is_far = is_present & (first_m > low[axis] + extent[axis] / 2)
+        if is_far.any() and (is_present & ~is_far).any():
+            return _in_halves(x_m, y_m, polygons, buffer_m, among, is_far)
     columns, rows = (int(length / cell_m) + 1 for length in extent)
     grid = _Grid(float(low[0]), float(low[1]), cell_m, columns, rows)
     boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, grid, float(buffer_m))
     cells = _sort_points(x_m, y_m, grid, boxes, np.zeros(0, bool) if among is None else among)
     rings = _Rings(polygons.xy_m, polygons.ring_offset, polygons.polygon_offset)
     return _crop(cells, grid, boxes, rings, float(buffer_m))
+
+
+def _in_halves(
+    x_m: np.ndarray,
+    y_m: np.ndarray,
+    polygons: Polygons,
+    buffer_m: float,
+    among: np.ndarray | None,
+    is_far: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same, first without the polygons in the mask, then of these: cells for all would be so large that each
+    polygon of a town is compared with all points of it, because of one that is far away."""
+    pieces = []
+    for rows in (np.flatnonzero(~is_far), np.flatnonzero(is_far)):
+        some = Polygons.from_rings([polygons.rings(row) for row in rows.tolist()])
+        # a metre more, in case of rounding
+        low, high = some.xy_m.min(axis=0) - buffer_m - 1, some.xy_m.max(axis=0) + buffer_m + 1
+        near = np.flatnonzero((x_m >= low[0]) & (x_m <= high[0]) & (y_m >= low[1]) & (y_m <= high[1]))
+        chosen = None if among is None else among[near]
+        point, inside, offset = crop_points(x_m[near], y_m[near], some, buffer_m, chosen)
+        pieces.append((np.repeat(rows, np.diff(offset)), near[point].astype(np.int32), inside))
+    polygon, point, inside = (np.concatenate(each) for each in zip(*pieces, strict=True))
+    order = np.argsort(polygon, kind="stable")
+    offset = np.searchsorted(polygon[order], np.arange(len(polygons) + 1))
+    return point[order], inside[order], offset
 
 
 @entry

@@ -116,6 +116,25 @@ def test_scattered_buildings_need_no_cells_between_them(monkeypatch):
     assert sizes[0] < 50_000
 
 
+def test_a_polygon_far_away_makes_the_cells_of_a_town_no_larger(monkeypatch):
+    """Each of its polygons was compared with all of its points."""
+    grids, crop = [], cropping._crop
+
+    def cropped(cells, grid, *arguments):
+        grids.append(grid)
+        return crop(cells, grid, *arguments)
+
+    monkeypatch.setattr(cropping, "_crop", cropped)
+    rng = np.random.default_rng(7)
+    shapes = town(rng, 30, 300, np.array([652_000.0, 6_861_000.0]))
+    shapes = [*shapes[:9], shapely.box(1.6e6, 7.5e6, 1.6e6 + 9, 7.5e6 + 9), shapely.Polygon(), *shapes[9:]]
+    x, y = np.round(rng.uniform(-5, 305, (2, 20_000)), 3)
+    x, y = x + 652_000.0, y + 6_861_000.0
+    x[:50], y[:50] = x[:50] % 13 + 1.6e6 - 2, y[:50] % 13 + 7.5e6 - 2
+    assert check(x, y, shapes, 1.0) > 1000
+    assert max(grid.cell_m for grid in grids) == 4.0
+
+
 def test_empty_polygons_and_no_points():
     polygons = to_polygons([shapely.Polygon(), shapely.box(0, 0, 2, 2), None])
     point, inside, offset = crop_points(np.array([1.0, 2.5, 9.0]), np.array([1.0, 1.0, 9.0]), polygons, 1.0)
