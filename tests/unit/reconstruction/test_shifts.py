@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from p2wss.reconstruction.registration.shifts import edge_steps, solve_shift
+from p2wss.reconstruction.registration.shifts import edge_steps, search_shift, solve_shift
 
 # the outside is on the right: at x > 0
 WALL = np.array([[0.0, 0.0, 0.0, 10.0]])
@@ -133,3 +133,12 @@ def test_wide_eaves_seen_from_one_side_are_no_clear_shift() -> None:
     assert solve_shift(edge, np.full(5, 0.7), np.full(5, 0.1), np.zeros(2)).sd_m > 0.5
     both_sides = np.concatenate([edge, -edge])
     assert solve_shift(both_sides, np.full(10, 0.7), np.full(10, 0.1), np.zeros(2)).sd_m < 0.2
+
+
+def test_without_points_nothing_is_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As for 99,980 of 100,000 footprints whose cloud covers 20."""
+    edge = np.array([[0.0, 0, 9, 0], [9, 0, 9, 9], [9, 9, 0, 9], [0, 9, 0, 0]])
+    monkeypatch.setattr(np.fft, "rfft2", None)
+    assert search_shift(edge, np.zeros((0, 2)), np.zeros(0)).tolist() == [0, 0]
+    with pytest.raises(TypeError):
+        search_shift(edge, np.full((1, 2), 3.0), np.ones(1))

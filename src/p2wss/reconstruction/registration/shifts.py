@@ -121,8 +121,10 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     """The shift of a polygon under which the weights inside it have the largest sum.
 
     edge: (e, 4), ends of all edges of the polygon. xy_m: (n, 2), points up to ``MAX_SHIFT_M`` around it. weight: (n,).
-    Returns the centre of the shifts whose sum is nearly the largest, (2,).
+    Returns the centre of the shifts whose sum is nearly the largest, (2,); without points, no shift.
     """
+    if not len(xy_m):
+        return np.zeros(2)  # a map of a country has many buildings beyond the cloud
     low = edge.reshape(-1, 2).min(axis=0) - MAX_SHIFT_M
     extent = edge.reshape(-1, 2).max(axis=0) + MAX_SHIFT_M - low
     cell_m = max(SEARCH.cell_m, float(np.sqrt(extent.prod() / SEARCH.max_cells)))
