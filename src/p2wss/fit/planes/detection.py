@@ -110,10 +110,9 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
 def payable(
     point_m: np.ndarray, found: RoofPlanes, plane: np.ndarray, stands_m2: float, prices: PlanePrices
 ) -> RoofPlanes:
-    """The planes (k, 3), of points (m, 3) labelled as ``found``, without those which no roof would pay for: with that
-    around each of its points which is nearest to it instead, and no more than ``cap_m`` from it, its points would be
-    further away by less than ``least_m3`` in all. Points of such a plane go to the one nearest to them. stands_m2: the
-    area that a point stands for."""
+    """The planes (k, 3), of points (m, 3) labelled as ``found``, without those that save less than ``least_m3``: how
+    much nearer its points are to a plane than to the nearest of the planes around each, from which none is further than
+    ``cap_m``. The points of a plane that is left out go to those. stands_m2: the area that a point stands for."""
     is_kept, label = _paid(point_m, found.neighbour, plane, found.label, stands_m2, prices)
     number = np.append(np.cumsum(is_kept) - 1, -1)
     return RoofPlanes(plane[is_kept], number[label], found.neighbour)
