@@ -114,8 +114,6 @@ def _points(
         )
         for number in range(together.max() + 1):
             is_own[:] = moves & (together[:num_planes] == number)
-            if not is_own.any():
-                continue
             is_here[:] = together[num_planes:] == number
             for k, place in enumerate(at):
                 is_here[place] |= is_own[plane[k]]
@@ -308,7 +306,7 @@ def _met(
             break
         change = _solved(pair, share, right)
         # else, the points went further away in each round, or the equations have no solution: these planes do not meet
-        if not np.abs(change).max() < _NO_SOLUTION_M:
+        if len(change) and not np.abs(change).max() < _NO_SOLUTION_M:
             break
         inverse = _followed(row, scale, number, change, point_m, begin, at, plane)
     return point_m

@@ -97,6 +97,19 @@ def test_roofs_far_from_each_other_are_as_alone() -> None:
     assert (moved.vertex_m.reshape(40, -1, 3)[7] == houses[7].vertex_m).all()
 
 
+def test_a_corner_comes_to_where_planes_meet_that_do_not_move() -> None:
+    mesh = hip()
+    corner = int(np.flatnonzero(mesh.vertex_m[:, 2] == 0)[0])
+    is_corner = np.arange(len(mesh.vertex_m)) == corner
+    bent = mesh.moved(mesh.vertex_m + 1e-3 * is_corner[:, None] * [0, 0, 1])
+    for stays in (False, True):
+        moved, apart_m = with_meeting_planes(
+            bent, np.arange(len(is_corner)), corners_stay=stays, only=is_corner
+        )
+        assert (moved.vertex_m[~is_corner] == bent.vertex_m[~is_corner]).all() and apart_m.max() < 1e-6
+        assert (moved.vertex_m[corner, 2] == 1e-3) == stays
+
+
 @pytest.mark.parametrize("bent_m", [1e10, 1e250])
 def test_planes_stay_where_their_changes_are_no_solution(bent_m: float) -> None:
     mesh = hip()
