@@ -40,7 +40,7 @@ from p2wss.reconstruction.area import footprint_settings
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.points import unclassified
 from p2wss.reconstruction.result import Result
-from p2wss.reconstruction.tracing.outlines import crowns, in_patches, outline_features, outlines_and_crowns
+from p2wss.reconstruction.tracing.outlines import crowns, in_tiles, outline_features, outlines_and_crowns
 from p2wss.storage.features import Features
 
 MIN_AREA_M2 = 30.0
@@ -249,7 +249,7 @@ def main() -> int:
                 figures.at_most("points to mesh on the map [m]", solids["p2m on map"], BARS["p2m"])
     for path in arguments.forests:
         bare_cloud = without_classes(clouds.read_clouds([path]))
-        found = in_patches(bare_cloud, settings)
+        found = in_tiles(bare_cloud, settings)
         is_crown = np.concatenate([crowns(part, shapes, raster) for part, raster, shapes in found])
         counts = {"outlines": int((~is_crown).sum()), "left out as crowns": int(is_crown.sum())}
         print(path.name, json.dumps(counts), flush=True)

@@ -22,7 +22,6 @@ from p2wss.data.las_classes import (
 )
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.tiling import Bounds, grown
-from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 
 
@@ -49,10 +48,8 @@ class Rules:
 
 RULES = Rules()
 _CHUNK = 10_000
-# metres: parts of a cloud that are further apart have nothing to do with each other
-_PATCH_M = 100.0
-# the raster of a patch with more cells is made tile by tile, each of so many cells along a side: a corridor of 50 km is
-# hardly any of what is around it
+# the raster of a cloud with more cells is made tile by tile, each of so many cells along a side: houses that lie over
+# 8 x 10 km, or a corridor of 50 km, are hardly any of what is around them
 _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
 # metres around a tile in which points tell what is ground in it
 _TILE_MARGIN_M = 200.0
@@ -82,12 +79,11 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     has_ground, has_buildings = (classes == GROUND_CLASS).any(), (classes == BUILDING_CLASS).any()
     if not has_ground:
         is_lowest = np.zeros(len(cloud), bool)
-        for rows in patches(cloud):
-            xyz_m = cloud.x_m[rows], cloud.y_m[rows], cloud.z_m[rows]
-            for tile in tiles(*xyz_m[:2], RULES.cell_m):
-                near = np.flatnonzero(in_window(*xyz_m[:2], grown(tile, _TILE_MARGIN_M)))
-                inside = in_window(*xyz_m[:2], tile)[near]
-                is_lowest[rows[near[inside]]] = _lowest(*(values[near] for values in xyz_m))[inside]
+        for tile in tiles(cloud.x_m, cloud.y_m, RULES.cell_m):
+            near = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, grown(tile, _TILE_MARGIN_M)))
+            x_m, y_m = cloud.x_m[near], cloud.y_m[near]
+            inside = in_window(x_m, y_m, tile)
+            is_lowest[near[inside]] = _lowest(x_m, y_m, cloud.z_m[near])[inside]
         classes = np.where(is_open(classes) & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
         height_m = cloud.z_m - ground_z_m(replace(cloud, classification=classes))
@@ -121,18 +117,8 @@ def is_open(classes: np.ndarray) -> np.ndarray:
     return (classes <= UNCLASSIFIED_CLASS) | ~np.isin(classes, meanings)
 
 
-def patches(cloud: Cloud) -> list[np.ndarray]:
-    """Rows of the points of each part of a cloud, ascending. Between parts there are squares of 100 m without a point:
-    a raster of all, which may be kilometres of nothing, is never made."""
-    square = np.floor(np.column_stack([cloud.x_m, cloud.y_m]) / _PATCH_M)
-    used, of_point = np.unique(square @ [1, 1j], return_inverse=True)
-    place = np.column_stack([used.real, used.imag])
-    part = groups(len(used), scipy.spatial.KDTree(place).query_pairs(1.5, output_type="ndarray"))[of_point]
-    return np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
-
-
 def tiles(x_m: np.ndarray, y_m: np.ndarray, cell_m: float) -> list[Bounds]:
-    """Windows of whole cells that are apart and have all points (n,) of a patch, each with some of them: one without
+    """Windows of whole cells that are apart and have all points (n,) of a cloud, each with some of them: one without
     limits, unless its raster would be too large."""
     if np.ptp(x_m) * np.ptp(y_m) <= _MAX_CELLS * cell_m**2:
         return [(-np.inf, -np.inf, np.inf, np.inf)]

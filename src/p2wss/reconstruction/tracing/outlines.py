@@ -25,7 +25,7 @@ from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS, WATER_CLASS, has_class
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.tiling import Bounds, grown
-from p2wss.reconstruction.points.unclassified import filled, in_window, patches, tiles
+from p2wss.reconstruction.points.unclassified import filled, in_window, tiles
 from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
@@ -102,7 +102,7 @@ def outlines_and_crowns(
             "no outlines: the cloud has no points on buildings (class 6); give footprints, or classify the points first"
         )
     found, are_crowns = [], []
-    for part, raster, own in in_patches(cloud, settings):
+    for part, raster, own in in_tiles(cloud, settings):
         found.append(own)
         are_crowns.append(np.zeros(len(own), bool) if is_classified else crowns(part, own, raster))
     if not sum(map(len, found)):
@@ -122,9 +122,9 @@ def outlines_and_crowns(
     return shapes[~is_crown][np.lexsort((bounds[:, 1], bounds[:, 0]))], shapes[is_crown]
 
 
-def in_patches(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRaster, np.ndarray]]:
-    """(points, their raster, outlines of buildings) of each patch of a cloud that has points of class building, or of
-    each tile of a large one."""
+def in_tiles(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRaster, np.ndarray]]:
+    """(points, their raster, outlines of buildings) of a cloud, or of each tile of a large one that has points of class
+    building."""
     is_building = cloud.classification == BUILDING_CLASS
     density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
     cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
@@ -134,30 +134,24 @@ def in_patches(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudR
             " missing; give footprints, if there are any"
         )
         log.warning(text, density, 3 * cell_m)
-    for rows in patches(cloud):
-        patch, is_done = _of_points(cloud, rows), np.zeros(len(rows), bool)
-        for tile in tiles(patch.x_m, patch.y_m, float(cell_m)):
-            is_new = (patch.classification == BUILDING_CLASS) & ~is_done
-            if (is_new & in_window(patch.x_m, patch.y_m, tile)).any():
-                part, raster = _of_tile(patch, tile, is_done, settings, density, float(cell_m))
-                yield part, raster, _outlines(part, raster, settings)
-
-
-def _of_points(cloud: Cloud, rows: np.ndarray) -> Cloud:
-    x_m, y_m, z_m = (column[rows] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
-    return Cloud(x_m, y_m, z_m, cloud.classification[rows], cloud.crs)
+    is_done = np.zeros(len(cloud), bool)
+    for tile in tiles(cloud.x_m, cloud.y_m, float(cell_m)):
+        if (is_building & ~is_done & in_window(cloud.x_m, cloud.y_m, tile)).any():
+            part, raster = _of_tile(cloud, tile, is_done, settings, density, float(cell_m))
+            yield part, raster, _outlines(part, raster, settings)
 
 
 def _of_tile(
-    patch: Cloud, tile: Bounds, is_done: np.ndarray, settings: Outlines, density: float, cell_m: float
+    cloud: Cloud, tile: Bounds, is_done: np.ndarray, settings: Outlines, density: float, cell_m: float
 ) -> tuple[Cloud, CloudRaster]:
     """The points in a tile and as far around it as its blocks are whole, and their raster, with these blocks only.
-    is_done: bool, points of the patch in blocks of other tiles, to which those of these blocks are added."""
+    is_done: bool, points of the cloud in blocks of other tiles, to which those of these blocks are added."""
     margin_m = _TILE_MARGIN_M
     while True:
         window = grown(tile, margin_m)
-        rows = np.flatnonzero(in_window(patch.x_m, patch.y_m, window))
-        part = _of_points(patch, rows)
+        rows = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, window))
+        x_m, y_m, z_m = (column[rows] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
+        part = Cloud(x_m, y_m, z_m, cloud.classification[rows], cloud.crs)
         raster = _rasterised(part, settings, density, cell_m)
         of_point, count = raster.block.ravel()[raster.cell], int(raster.block.max()) + 1
         is_own = np.bincount(raster.block[_cells_of(raster, tile, 0)].ravel(), minlength=count) > 0
@@ -185,7 +179,7 @@ def _cells_of(raster: Raster, window: Bounds, num_less: int) -> tuple[slice, sli
 
 
 def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines) -> np.ndarray:
-    """The outlines of all buildings of a patch, block by block, an object array."""
+    """The outlines of all buildings of a raster, block by block, an object array."""
     traces = _block_traces(raster, settings)
     arrays = polygon_arrays.to_polygons(np.array([trace for trace, _ in traces], dtype=object))
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
