@@ -38,9 +38,14 @@ def triangulated_in_space(
     rings = [ring for face in faces for ring in face]
     face_of_ring = np.repeat(np.arange(len(faces)), list(map(len, faces)))
     corner, ring = np.concatenate(rings), np.repeat(np.arange(len(rings)), list(map(len, rings)))
+    axes = axes_of(normal)[face_of_ring[ring]]
+    place_m = (axes @ (point_m[corner] - point_m[0])[..., None])[..., 0]
+    return triangulated(place_m, corner, ring, face_of_ring)
+
+
+def axes_of(normal: np.ndarray) -> np.ndarray:
+    """(f, 2, 3), two unit vectors in planes of unit normals (f, 3), around which they turn counter-clockwise."""
     across = crossed(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
     # a face without area has no normal, and its corners are in one place, which is no polygon
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-    axes = np.stack([across, crossed(normal, across)], axis=1)[face_of_ring[ring]]
-    place_m = (axes @ (point_m[corner] - point_m[0])[..., None])[..., 0]
-    return triangulated(place_m, corner, ring, face_of_ring)
+    return np.stack([across, crossed(normal, across)], axis=1)

@@ -51,6 +51,13 @@ def test_planes(outlines: list[random_solids.Rings], is_hard: bool) -> None:
         assert after.has_mesh and codes == []
 
 
+def test_a_roof_without_width_leaves_the_solid_closed() -> None:
+    """Its corners are on one line, once a millimetre of it is gone: walls then keep the vertices within their edges."""
+    corner = np.array([[0.0, 0.0], [14.0, 0.0], [14.0, 6.0], [9.0, 6.0], [9.0, 11.0], [0.0, 11.0]])
+    mesh = random_solids.below_planes("a", [corner], 24, 4, True)
+    assert mesh is not None and mesh.is_closed and (mesh.num_planes_at == 2).any()
+
+
 def test_short_edges_go_only_where_no_faces_cross_then() -> None:
     square = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 7.0], [0.0, 7.0]])
     num_shorter = 0

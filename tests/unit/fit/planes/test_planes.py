@@ -314,7 +314,7 @@ def test_no_side_turns_around_where_its_ends_move_to_different_lines() -> None:
     borders = _Borders.of(cells, label, rectangle)
     place_m, _ = borders.exact_places(cells, plane)
 
-    start, end = np.array([*borders.face]).T
+    start, end = borders.side.T
     before_m, after_m = (each[end] - each[start] for each in (borders.xy_m, place_m))
     assert ((before_m * after_m).sum(axis=1) > 0).all()
     mesh = solid_below(cells, label, plane, rectangle)
@@ -330,6 +330,17 @@ def test_a_border_a_millimetre_beside_a_corner_goes_through_it() -> None:
     assert mesh is not None and mesh.is_closed
     assert mesh.edge_m.min() > 1.0
     assert (mesh.vertex_m[:, :2] == 0.0).all(axis=1).sum() == 3
+
+
+def test_a_face_of_millimetres_between_two_others_vanishes() -> None:
+    square = np.array([[0, 0], [10, 0], [10, 6], [0, 6.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), each) for each in (5.0, 5.002)])
+    label = np.searchsorted((5.0, 5.002), cells.middle_m[:, 0])
+    mesh = solid_below(cells, label, np.array([[0, 0, 4.0], [0, 0, 7.0], [0, 0, 5.5]]), square)
+
+    assert mesh is not None and mesh.is_closed and mesh.edge_m.min() > 1.0
+    # two roofs, four walls, the floor, and the step between the roofs
+    assert len(mesh.surfaces) == 8 and (mesh.num_planes_at >= 3).all()
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])

@@ -1,0 +1,375 @@
+"""Borders between the faces of a roof in plan, straightened, and the faces of the solid below them, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
+
+# the number of the face outside the footprint, and of cells without a building
+OUTSIDE = -1
+# metres: sides this short have no length, and a vertex this near to the straight line between its neighbours is dropped
+STRAIGHT_M = 4e-3
+# metres: heights nearer to each other are one
+SAME_HEIGHT_M = 4e-3
+
+
+@entry
+def straightened(
+    side: np.ndarray, face: np.ndarray, line: np.ndarray, xy_m: np.ndarray, is_fixed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(side, face, line) without sides of no length and vertices within straight ones.
+
+    side: int64 (s, 2), the vertices of each. face: int64 (s, 2), those to its left and to its right, or OUTSIDE. line:
+    int64 (s,), on which it is; of the longer piece where two become one. xy_m: (v, 2). is_fixed: bool (v,), vertices
+    that stay. A side of the result has a face to its left, and where it has two, begins with the smaller number.
+    """
+    side, face, line = side.copy(), face.copy(), line.copy()
+    # when each was made
+    rank, num_made, is_gone = np.arange(len(side)), len(side), np.zeros(len(side), np.bool_)
+    for k in range(len(side)):
+        a, b = side[k]
+        if is_gone[k] or np.hypot(xy_m[a, 0] - xy_m[b, 0], xy_m[a, 1] - xy_m[b, 1]) >= STRAIGHT_M:
+            continue
+        if not is_fixed[b] and _contracted(side, face, line, is_gone, k, a, b):
+            continue
+        if not is_fixed[a]:
+            _contracted(side, face, line, is_gone, k, b, a)
+    for k in range(len(side)):
+        if is_gone[k]:
+            side[k] = -1
+    begin, at = _members(side.ravel(), len(xy_m))
+    at //= 2
+    # each vertex that goes puts its neighbours there once more
+    pending, num = np.empty(3 * len(xy_m) + 1, np.int64), ZERO
+    for v in range(len(xy_m) - 1, -1, -1):
+        pending[num] = v
+        num += 1
+    while num:
+        num -= 1
+        v = pending[num]
+        if is_fixed[v] or begin[v + 1] - begin[v] != 2 or at[begin[v]] < 0:
+            continue
+        k, m = at[begin[v]], at[begin[v] + 1]
+        one, other = side[k, 0] + side[k, 1] - v, side[m, 0] + side[m, 1] - v
+        if one > other:
+            k, m, one, other = m, k, other, one
+        x, y = xy_m[other, 0] - xy_m[one, 0], xy_m[other, 1] - xy_m[one, 1]
+        to_x, to_y = xy_m[v, 0] - xy_m[one, 0], xy_m[v, 1] - xy_m[one, 1]
+        if abs(x * to_y - y * to_x) > STRAIGHT_M * np.hypot(x, y):
+            continue
+        is_beside = False
+        for t in at[begin[one] : begin[one + 1]]:
+            is_beside |= side[t, 0] + side[t, 1] - one == other
+        if is_beside:
+            continue
+        if np.hypot(to_x, to_y) < np.hypot(x - to_x, y - to_y):
+            line[k] = line[m]
+        if side[k, 0] == v:
+            face[k, 0], face[k, 1] = face[k, 1], face[k, 0]
+        side[k], rank[k], is_gone[m], at[begin[v]] = (one, other), num_made, True, -1
+        num_made += 1
+        for i in range(begin[other], begin[other + 1]):
+            if at[i] == m:
+                at[i] = k
+        pending[num], pending[num + 1] = one, other
+        num += 2
+    order = np.argsort(rank)
+    order = order[~is_gone[order]]
+    side, face = side[order], face[order]
+    for k in range(len(side)):
+        if face[k, 0] == OUTSIDE or (face[k, 1] != OUTSIDE and side[k, 0] > side[k, 1]):
+            side[k], face[k] = (side[k, 1], side[k, 0]), (face[k, 1], face[k, 0])
+    return side, face, line[order]
+
+
+@inner
+def _contracted(
+    side: np.ndarray,
+    face: np.ndarray,
+    line: np.ndarray,
+    is_gone: np.ndarray,
+    short: int,
+    end: int,
+    gone: int,
+) -> bool:
+    """Makes both ends of a short side one vertex, if no two faces are then on one side of another side; whether it did.
+    A face of no width vanishes."""
+    for is_tried in (True, False):
+        for t in range(len(side)):
+            if is_gone[t] or t == short or (side[t, 0] != gone and side[t, 1] != gone):
+                continue
+            at_gone = 0 if side[t, 0] == gone else 1
+            beyond, u = side[t, 1 - at_gone], -1
+            for k in range(len(side)):
+                if (side[k, 0] == end and side[k, 1] == beyond) or (
+                    side[k, 1] == end and side[k, 0] == beyond
+                ):
+                    u = u if is_gone[k] else k
+            if u < 0:
+                if not is_tried:
+                    side[t, at_gone] = end
+                continue
+            at_end, num_kept = 0 if side[u, 0] == end else 1, 0
+            # left and right of the two from their common end; what is between them vanishes
+            one, other = (face[u, at_end], face[t, at_gone]), (face[u, 1 - at_end], face[t, 1 - at_gone])
+            for left, right, h in ((one, other, at_end), (other, one, 1 - at_end)):
+                keeps = left[0] != OUTSIDE and left[0] != right[0] and left[0] != right[1]
+                takes = left[1] != OUTSIDE and left[1] != right[0] and left[1] != right[1]
+                if keeps and takes:
+                    return False
+                num_kept += keeps
+                if not is_tried:
+                    face[u, h] = left[0] if keeps else left[1] if takes else OUTSIDE
+            if not is_tried:
+                is_gone[t], is_gone[u] = True, face[u, 0] == OUTSIDE and face[u, 1] == OUTSIDE
+                line[u] = line[u] if num_kept else line[t]
+    is_gone[short] = True
+    return True
+
+
+@allocating
+def _members(group: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
+    """(where the members of each group begin, int64 (num + 1,); the members, group by group). group: int64 (m,), of
+    each member, negative for none."""
+    begin = np.zeros(num + 1, np.int64)
+    for each in group:
+        if each >= 0:
+            begin[each + 1] += 1
+    begin = np.cumsum(begin)
+    free, result = begin.copy(), np.empty(begin[num], np.int64)
+    for k, each in enumerate(group):
+        if each >= 0:
+            result[free[each]] = k
+            free[each] += 1
+    return begin, result
+
+
+@entry
+def rings_below(
+    side: np.ndarray,
+    face: np.ndarray,
+    wall: np.ndarray,
+    xy_m: np.ndarray,
+    plane: np.ndarray,
+    axes: np.ndarray,
+    is_whole: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(vertices (v, 3); the rings of all faces of the solid from height 0 to planes, int64 (k,), ring after ring; how
+    long each is, (r,); the face of each, (r,); twice its area, negative of a hole, (r,)): no ring has a vertex twice.
+
+    side, face: see :func:`straightened`. wall: int64 (s, 2), the numbers of the walls below the faces on both sides.
+    plane: (p, 3). Faces are numbered like planes, then come the floor and the walls. axes: (f, 2, 3), in each.
+    is_whole: whether walls in one plane are one, and not one for each side.
+    """
+    side, face, wall, xy_m = _divided(side, face, wall, xy_m, plane)
+    vertex_m, vertex = _columns(side, face, xy_m, plane)
+    half, number = _half_edges(side, face, wall, vertex, len(vertex_m), len(plane), is_whole)
+    return vertex_m, *_rings(vertex_m, half, number, axes)
+
+
+@inner
+def _height(plane: np.ndarray, number: int, x: float, y: float) -> float:
+    return plane[number, 0] * x + plane[number, 1] * y + plane[number, 2]
+
+
+@allocating
+def _divided(
+    side: np.ndarray, face: np.ndarray, wall: np.ndarray, xy_m: np.ndarray, plane: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The same (side, face, wall, vertices) with those sides divided along which two roofs change places as the higher
+    one."""
+    num, num_places, num_sides = len(side), len(xy_m), len(side)
+    side, face = np.concatenate((side, side)), np.concatenate((face, face))
+    wall, xy_m = np.concatenate((wall, wall)), np.concatenate((xy_m, np.empty((num, 2))))
+    for k in range(num):
+        if face[k, 0] == OUTSIDE or face[k, 1] == OUTSIDE:
+            continue
+        (x, y), (end_x, end_y) = xy_m[side[k, 0]], xy_m[side[k, 1]]
+        rise_m = _height(plane, face[k, 0], x, y) - _height(plane, face[k, 1], x, y)
+        end_rise_m = _height(plane, face[k, 0], end_x, end_y) - _height(plane, face[k, 1], end_x, end_y)
+        if rise_m * end_rise_m < 0.0 and min(abs(rise_m), abs(end_rise_m)) > SAME_HEIGHT_M:
+            share = rise_m / (rise_m - end_rise_m)
+            xy_m[num_places] = (x + share * (end_x - x), y + share * (end_y - y))
+            side[num_sides] = (num_places, side[k, 1])
+            face[num_sides], wall[num_sides], side[k, 1] = face[k], wall[k], num_places
+            num_places, num_sides = num_places + 1, num_sides + 1
+    return side[:num_sides], face[:num_sides], wall[:num_sides], xy_m[:num_places]
+
+
+@allocating
+def _columns(
+    side: np.ndarray, face: np.ndarray, xy_m: np.ndarray, plane: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(vertices (v, 3), those over each place one after the other from below; of each end of each side, and each face
+    beside it, the vertex, int64 (s, 2, 2))."""
+    vertex_m, vertex, num = np.empty((4 * len(side), 3)), np.empty(4 * len(side), np.int64), 0
+    begin, at = _members(side.ravel(), len(xy_m))
+    height_m, number = np.empty(4 * len(side)), np.empty(4 * len(side), np.int64)
+    order = np.empty(4 * len(side), np.int64)
+    for place in range(len(xy_m)):
+        size = 0
+        for each in at[begin[place] : begin[place + 1]]:
+            for h in range(2):
+                k, plane_of = 2 * each + h, face[each // 2, h]
+                number[k] = plane_of
+                height_m[k] = (
+                    -np.inf
+                    if plane_of == OUTSIDE
+                    else _height(plane, plane_of, xy_m[place, 0], xy_m[place, 1])
+                )
+                i, size = size, size + 1
+                while i and _is_below(height_m, number, k, order[i - 1]):
+                    order[i] = order[i - 1]
+                    i -= 1
+                order[i] = k
+        lowest_m, sum_m, count = -np.inf, 0.0, 0
+        for i in range(size):
+            k = order[i]
+            if i == 0 or (number[k] != number[order[i - 1]]):
+                if number[k] == OUTSIDE:
+                    vertex_m[num] = (xy_m[place, 0], xy_m[place, 1], 0.0)
+                    num += 1
+                else:
+                    if height_m[k] - lowest_m >= SAME_HEIGHT_M:
+                        lowest_m, sum_m, count, num = height_m[k], 0.0, 0, num + 1
+                    sum_m, count = sum_m + height_m[k], count + 1
+                    vertex_m[num - 1] = (xy_m[place, 0], xy_m[place, 1], sum_m / count)
+            vertex[k] = num - 1
+    return vertex_m[:num], vertex.reshape(len(side), 2, 2)
+
+
+@inner
+def _is_below(height_m: np.ndarray, number: np.ndarray, k: int, m: int) -> bool:
+    return height_m[k] < height_m[m] or (height_m[k] == height_m[m] and number[k] < number[m])
+
+
+@allocating
+def _half_edges(
+    side: np.ndarray,
+    face: np.ndarray,
+    wall: np.ndarray,
+    vertex: np.ndarray,
+    num_vertices: int,
+    floor: int,
+    is_whole: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(half-edges (h, 2) of vertices around the faces, which are to their left; the number of the face of each, (h,)).
+    vertex: see :func:`_columns`. floor: its number."""
+    num_steps = 0
+    for k in range(len(side)):
+        for e in range(2):
+            num_steps += abs(vertex[k, e, 0] - vertex[k, e, 1])
+    size = 6 * len(side) + num_steps
+    half, number, num = np.empty((size, 2), np.int64), np.empty(size, np.int64), 0
+    # steps between vertices of a column: the lower one, and up or down
+    step, step_wall, is_up, num_steps = (
+        np.empty(num_steps, np.int64),
+        np.empty(num_steps, np.int64),
+        np.empty(num_steps, np.bool_),
+        0,
+    )
+    for k in range(len(side)):
+        for h in range(2):
+            start, end = h, 1 - h
+            if face[k, h] == OUTSIDE:
+                half[num], number[num] = (vertex[k, start, h], vertex[k, end, h]), floor
+                num += 1
+                continue
+            half[num], number[num] = (vertex[k, start, h], vertex[k, end, h]), face[k, h]
+            num += 1
+            # the wall is below this face, over the other one
+            low, end_low = vertex[k, start, 1 - h], vertex[k, end, 1 - h]
+            high, end_high = max(low, vertex[k, start, h]), max(end_low, vertex[k, end, h])
+            if high == low and end_high == end_low:
+                continue
+            half[num], number[num] = (low, end_low), wall[k, h]
+            half[num + 1], number[num + 1] = (end_high, high), wall[k, h]
+            num += 2
+            for one, other, goes_up in ((end_low, end_high, True), (low, high, False)):
+                for v in range(one, other):
+                    step[num_steps], step_wall[num_steps], is_up[num_steps] = v, wall[k, h], goes_up
+                    num_steps += 1
+    # within a whole wall, one way up and one down are none
+    begin, at = _members(step[:num_steps], num_vertices)
+    for v in range(num_vertices):
+        for i in range(begin[v], begin[v + 1]):
+            k = at[i]
+            for j in range(i + 1, begin[v + 1] if is_whole else i):
+                m = at[j]
+                if step_wall[k] >= 0 and step_wall[k] == step_wall[m] and is_up[k] != is_up[m]:
+                    step_wall[k], step_wall[m] = OUTSIDE, OUTSIDE
+            if step_wall[k] >= 0:
+                half[num] = (v, v + 1) if is_up[k] else (v + 1, v)
+                number[num], num = step_wall[k], num + 1
+    return half[:num], number[:num]
+
+
+@allocating
+def _rings(
+    vertex_m: np.ndarray, half: np.ndarray, number: np.ndarray, axes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(rings, how long each is, the face of each, twice its area) of half-edges around faces, as in
+    :func:`rings_below`."""
+    begin, at = _members(half[:, 0].copy(), len(vertex_m))
+    ring, of_face, area = np.empty(len(half), np.int64), np.empty(len(half), np.int64), np.empty(len(half))
+    ring_size, num, num_rings = np.empty(len(half), np.int64), 0, 0
+    # the way so far, and where in it a vertex is
+    path, position = np.empty(len(half), np.int64), np.full(len(vertex_m), -1)
+    is_done = np.zeros(len(half), np.bool_)
+    for first in range(len(half)):
+        k, size, face = (-1 if is_done[first] else first), 0, number[first]
+        while k >= 0 or size:
+            v = half[k, 0] if k >= 0 else -1
+            begins = position[v] if k >= 0 else 0
+            if begins >= 0:
+                if size - begins > 2:
+                    ring[num : num + size - begins] = path[begins:size]
+                    num += size - begins
+                    ring_size[num_rings], of_face[num_rings] = size - begins, face
+                    area[num_rings] = _doubled_area(vertex_m, axes[face], path[begins:size])
+                    num_rings += 1
+                for each in path[begins:size]:
+                    position[each] = -1
+                size = begins
+            if k < 0:
+                break
+            is_done[k], path[size], position[v], size = True, v, size, size + 1
+            # where a face touches itself, the way goes on around the same part of it
+            onward, least = -1, np.inf
+            for m in at[begin[half[k, 1]] : begin[half[k, 1] + 1]]:
+                if number[m] == face and not is_done[m]:
+                    turn = _turn(vertex_m, axes[face], v, half[k, 1], half[m, 1])
+                    if turn < least:
+                        onward, least = m, turn
+            k = onward
+    return ring[:num], ring_size[:num_rings], of_face[:num_rings], area[:num_rings]
+
+
+@inner
+def _in_plane(vertex_m: np.ndarray, axes: np.ndarray, place: int, origin: int) -> tuple[float, float]:
+    """The coordinates of a vertex from another one along the axes (2, 3)."""
+    x, y, z = (
+        vertex_m[place, 0] - vertex_m[origin, 0],
+        vertex_m[place, 1] - vertex_m[origin, 1],
+        vertex_m[place, 2] - vertex_m[origin, 2],
+    )
+    return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+
+
+@inner
+def _doubled_area(vertex_m: np.ndarray, axes: np.ndarray, ring: np.ndarray) -> float:
+    result = 0.0
+    for i in range(1, len(ring) - 1):
+        x, y = _in_plane(vertex_m, axes, ring[i], ring[0])
+        after_x, after_y = _in_plane(vertex_m, axes, ring[i + 1], ring[0])
+        result += x * after_y - y * after_x
+    return result
+
+
+@inner
+def _turn(vertex_m: np.ndarray, axes: np.ndarray, before: int, place: int, after: int) -> float:
+    """The angle from the way back to the way on, clockwise."""
+    x, y = _in_plane(vertex_m, axes, before, place)
+    on_x, on_y = _in_plane(vertex_m, axes, after, place)
+    return (np.arctan2(y, x) - np.arctan2(on_y, on_x) - 1e-12) % (2 * np.pi)
