@@ -18,7 +18,7 @@ from p2wss.data.las_classes import (
     WATER_CLASS,
     has_class,
 )
-from p2wss.skeleton.types import Polygons
+from p2wss.skeleton.types import Polygons, numbered
 
 # metres from the footprint within which points of class ground are searched, then the lowest points, each time the next
 # one if there are too few; all that is known of a building is so far from it
@@ -123,7 +123,7 @@ def lowest_points(cloud: Cloud) -> np.ndarray:
         ~has_class(cloud.classification, (*PLANT_CLASSES, *NOISE_CLASSES, WATER_CLASS, BUILDING_CLASS))
     )
     square = np.floor(cloud.x_m[solid] / _SQUARE_M) + 1j * np.floor(cloud.y_m[solid] / _SQUARE_M)
-    _, number = np.unique(square, return_inverse=True)
+    number = numbered(square)[1]
     least_z = np.full(len(solid), np.inf)
     np.minimum.at(least_z, number, cloud.z_m[solid])
     is_low = cloud.z_m[solid] == least_z[number]

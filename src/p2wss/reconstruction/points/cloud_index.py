@@ -19,6 +19,7 @@ import pyproj
 from p2wss.clouds.reading import Cloud, repeated, tell_repeated
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES, has_class
 from p2wss.reconstruction.points.unclassified import with_classes
+from p2wss.skeleton.types import numbered
 from p2wss.storage.temporary import Closeable, Scratch
 
 CELL_M = 64.0
@@ -97,7 +98,7 @@ class CloudIndex(Closeable):
         self._num_read += len(number)
         x_m, y_m = cloud.x_m[chunk], cloud.y_m[chunk]
         cell = _key_of(x_m, y_m)
-        cells, of_point = np.unique(cell, return_inverse=True)
+        cells, of_point = numbered(cell)
         is_here = np.zeros(len(cells), bool)
         is_here[_within(cells, self._window)] = True
         rows = np.flatnonzero(is_here[of_point])
@@ -112,7 +113,7 @@ class CloudIndex(Closeable):
                 records[name] = values[chunk][rows]
         cell, classes = cell[rows], cloud.classification[chunk][rows]
         starts = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
-        known, place = np.unique(np.append(self._key, cell[starts]), return_inverse=True)
+        known, place = numbered(np.append(self._key, cell[starts]))
         count = np.zeros((len(_COUNTED), len(known)), np.int64)
         count[:, place[: len(self._key)]] = self._count
         for k, number_of_class in enumerate(_COUNTED):
@@ -189,7 +190,7 @@ class CloudIndex(Closeable):
         """
         result = np.zeros(len(x_m), bool)
         known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
-        square, of_place = np.unique(_square(_key_of(x_m[known], y_m[known])), return_inverse=True)
+        square, of_place = numbered(_square(_key_of(x_m[known], y_m[known])))
         result[known] = self._has(square, classification)[of_place]
         return result
 

@@ -23,6 +23,7 @@ from p2wss.data.las_classes import (
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.tiling import Bounds, grown
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.types import numbered
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def ground_z_m(cloud: Cloud) -> np.ndarray:
     if not is_ground.any():
         return np.full(len(cloud), cloud.z_m.min())
     cell = column * num_rows + row
-    wanted, of_point = np.unique(cell, return_inverse=True)
+    wanted, of_point = numbered(cell)
     count = np.bincount(of_point[is_ground])
     known = np.flatnonzero(count)
     mean_m = np.bincount(of_point[is_ground], cloud.z_m[is_ground])[known] / count[known]

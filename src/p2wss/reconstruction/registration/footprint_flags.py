@@ -16,7 +16,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.skeleton.types import Polygons, distinct
+from p2wss.skeleton.types import Polygons, distinct, numbered
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class _Cells:
         # a column more on either side, so that no cell has a neighbour in another row
         self._left, self._width = first - 1, last - first + 3
         key = row * self._width + column - self._left
-        self._key, of_point = np.unique(key, return_inverse=True)
+        self._key, of_point = numbered(key)
         count = len(self._key)
         num_ground = np.bincount(of_point[classification == GROUND_CLASS], minlength=count)
         num_roof = np.bincount(of_point[classification == BUILDING_CLASS], minlength=count)

@@ -35,7 +35,7 @@ from p2wss.reconstruction.registration.shifts import (
     solve_shift,
 )
 from p2wss.reconstruction.running.failures import note, surviving
-from p2wss.skeleton.types import Polygons, distinct
+from p2wss.skeleton.types import Polygons, distinct, numbered
 from p2wss.storage.features import Features
 
 # so far inside its outlines, a block has no walls, and moved by as much no trees
@@ -63,7 +63,7 @@ def like_roofs(
 ) -> np.ndarray:
     """Which of the other points are at the heights of the roof points in their cell of 1 m, bool (n,)."""
     column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
-    cells, cell = np.unique((row << 31) + column, return_inverse=True)
+    cells, cell = numbered((row << 31) + column)
     low_m, high_m = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
     np.minimum.at(low_m, cell[is_roof], z_m[is_roof] - _TOLERANCE_M)
     np.maximum.at(high_m, cell[is_roof], z_m[is_roof] + _TOLERANCE_M)
