@@ -11,9 +11,10 @@ import shapely
 
 from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.lines import Line, edges_of, ends_of
+from p2wss.fit.planes.ring_kernels import rings_around
 from p2wss.mesh.topology import reverses
 from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import distinct, numbered, writable
+from p2wss.skeleton.types import distinct, next_in_ring, numbered, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -79,36 +80,74 @@ def arrange(
         raise TooManyPlacesError
     place_m = place * GRID_M
     is_beside = np.any((place_m < low - GRID_M) | (place_m > high + GRID_M), axis=1)
-    drawn = np.asarray(shapely.linestrings(place_m[link[~is_beside[link].any(axis=1)]]), object)
-    cells = shapely.get_parts(shapely.polygonize(drawn))
+    is_drawn = ~is_beside[link].any(axis=1)
+    link, line = link[is_drawn], line[is_drawn]
+    corner, size, doubled_m2 = _rings_between(place_m, link)
+    ring = np.repeat(np.arange(len(size)), size)
+    outline = np.asarray(shapely.linearrings(place_m[corner], indices=ring), object)
+    is_hole, of_cell = doubled_m2 < 0, _cells_around(outline, doubled_m2)
+    order = np.lexsort((is_hole, of_cell))
+    order = order[of_cell[order] >= 0]
+    cells = np.asarray(shapely.polygons(outline[order], indices=np.cumsum(~is_hole[order]) - 1), object)
     middle = shapely.point_on_surface(cells)
-    inside = shapely.contains(polygon, middle)
-    cells, middle = shapely.orient_polygons(cells[inside]), middle[inside]
+    inside = np.flatnonzero(shapely.contains(polygon, middle))
     # in the order of their places, so that nothing depends on the order of the lines
-    order = np.lexsort(shapely.get_coordinates(middle).T)
-    cells, middle = cells[order], middle[order]
-    all_rings, owner = shapely.get_rings(cells, return_index=True)
-    xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
-    # places are in the order of their first and then their second coordinate; numpy is slow with rows
-    number = np.searchsorted(place @ [1, 1j], np.round(xy_m / GRID_M) @ [1, 1j])
-    used, vertex = numbered(number)
-    # the last place of a ring is its first
-    is_start = np.diff(ring_of) == 0
-    start, end, cell = vertex[:-1][is_start], vertex[1:][is_start], owner[ring_of[:-1][is_start]]
+    inside = inside[np.lexsort(shapely.get_coordinates(middle[inside]).T)]
+    rank = np.full(len(size) + 1, -1)
+    rank[order[~is_hole[order]][inside]] = np.arange(len(inside))
+    cell = rank[of_cell[ring]]
+    used, vertex = numbered(corner[cell >= 0])
+    number = np.empty(len(place), np.int64)
+    number[used] = np.arange(len(used))
+    start, end = vertex, number[corner[next_in_ring(np.cumsum([0, *size]))][cell >= 0]]
+    cell = cell[cell >= 0]
+    by_cell = np.argsort(cell, kind="stable")
+    start, end, cell = start[by_cell], end[by_cell], cell[by_cell]
     back = reverses(start, end)
     once = np.flatnonzero((back < 0) | (start < end))
     side = np.column_stack([start, end])[once]
     of_piece = np.searchsorted(link @ [len(place), 1], np.sort(used[side], axis=1) @ [len(place), 1])
     return Arrangement(
         place_m[used],
-        shapely.get_coordinates(middle),
-        shapely.area(cells),
+        shapely.get_coordinates(middle[inside]),
+        shapely.area(cells[inside]),
         np.column_stack([cell, np.where(back < 0, -1, cell[back])])[once],
         side,
         same[line[of_piece]],
         all_lines,
         len(own_lines),
     )
+
+
+@entry
+def _rings_between(place_m: np.ndarray, link: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(places of the rings along links (p, 2) of places (v, 2), with nothing to their left, (k,), ring after ring; how
+    long each is, (r,); twice its area, (r,), negative of one around cells)."""
+    num = len(link)
+    vertex_m, half = np.zeros((len(place_m), 3)), np.empty((2 * num, 2), np.int64)
+    vertex_m[:, :2], half[:num], half[num:] = place_m, link, link[:, ::-1]
+    ring, size, _, doubled_m2 = rings_around(
+        vertex_m, half, np.zeros(2 * num, np.int64), np.eye(3)[:2].copy().reshape(1, 2, 3)
+    )
+    return ring, size, doubled_m2
+
+
+def _cells_around(outline: np.ndarray, doubled_m2: np.ndarray) -> np.ndarray:
+    """int (r,): of each ring the cell of which it is a border, by the ring around it; -1 for what is around all."""
+    result = np.where(doubled_m2 < 0, -1, np.arange(len(outline)))
+    hole, cell = np.flatnonzero(doubled_m2 < 0), np.flatnonzero(doubled_m2 >= 0)
+    if len(hole) > 1:
+        polygon = np.asarray(shapely.polygons(outline), object)
+        at, around = shapely.STRtree(polygon[cell]).query(
+            shapely.point_on_surface(polygon[hole]), predicate="within"
+        )
+        at, around = hole[at], cell[around]
+        # neither one of the cells within the hole, nor one around that in which it is
+        is_larger = doubled_m2[around] > -doubled_m2[at] * (1 + _TOUCH)
+        at, around = at[is_larger], around[is_larger]
+        order = np.argsort(-doubled_m2[around], kind="stable")
+        result[at[order]] = around[order]
+    return result
 
 
 def _pieces(end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.fit.planes.ring_kernels import members, rings_around
 from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 
 # the number of the face outside the footprint, and of cells without a building
@@ -38,7 +39,7 @@ def straightened(
     for k in range(len(side)):
         if is_gone[k]:
             side[k] = -1
-    begin, at = _members(side.ravel(), len(xy_m))
+    begin, at = members(side.ravel(), len(xy_m))
     at //= 2
     # each vertex that goes puts its neighbours there once more
     pending, num = np.empty(3 * len(xy_m) + 1, np.int64), ZERO
@@ -128,23 +129,6 @@ def _contracted(
     return True
 
 
-@allocating
-def _members(group: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
-    """(where the members of each group begin, int64 (num + 1,); the members, group by group). group: int64 (m,), of
-    each member, negative for none."""
-    begin = np.zeros(num + 1, np.int64)
-    for each in group:
-        if each >= 0:
-            begin[each + 1] += 1
-    begin = np.cumsum(begin)
-    free, result = begin.copy(), np.empty(begin[num], np.int64)
-    for k, each in enumerate(group):
-        if each >= 0:
-            result[free[each]] = k
-            free[each] += 1
-    return begin, result
-
-
 @entry
 def rings_below(
     side: np.ndarray,
@@ -165,7 +149,7 @@ def rings_below(
     side, face, wall, xy_m = _divided(side, face, wall, xy_m, plane)
     vertex_m, vertex = _columns(side, face, xy_m, plane)
     half, number = _half_edges(side, face, wall, vertex, len(vertex_m), len(plane), is_whole)
-    return vertex_m, *_rings(vertex_m, half, number, axes)
+    return vertex_m, *rings_around(vertex_m, half, number, axes)
 
 
 @inner
@@ -204,7 +188,7 @@ def _columns(
     """(vertices (v, 3), those over each place one after the other from below; of each end of each side, and each face
     beside it, the vertex, int64 (s, 2, 2))."""
     vertex_m, vertex, num = np.empty((4 * len(side), 3)), np.empty(4 * len(side), np.int64), 0
-    begin, at = _members(side.ravel(), len(xy_m))
+    begin, at = members(side.ravel(), len(xy_m))
     height_m, number = np.empty(4 * len(side)), np.empty(4 * len(side), np.int64)
     order = np.empty(4 * len(side), np.int64)
     for place in range(len(xy_m)):
@@ -291,7 +275,7 @@ def _half_edges(
                     step[num_steps], step_wall[num_steps], is_up[num_steps] = v, wall[k, h], goes_up
                     num_steps += 1
     # within a whole wall, one way up and one down are none
-    begin, at = _members(step[:num_steps], num_vertices)
+    begin, at = members(step[:num_steps], num_vertices)
     for v in range(num_vertices):
         for i in range(begin[v], begin[v + 1]):
             k = at[i]
@@ -303,73 +287,3 @@ def _half_edges(
                 half[num] = (v, v + 1) if is_up[k] else (v + 1, v)
                 number[num], num = step_wall[k], num + 1
     return half[:num], number[:num]
-
-
-@allocating
-def _rings(
-    vertex_m: np.ndarray, half: np.ndarray, number: np.ndarray, axes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(rings, how long each is, the face of each, twice its area) of half-edges around faces, as in
-    :func:`rings_below`."""
-    begin, at = _members(half[:, 0].copy(), len(vertex_m))
-    ring, of_face, area = np.empty(len(half), np.int64), np.empty(len(half), np.int64), np.empty(len(half))
-    ring_size, num, num_rings = np.empty(len(half), np.int64), 0, 0
-    # the way so far, and where in it a vertex is
-    path, position = np.empty(len(half), np.int64), np.full(len(vertex_m), -1)
-    is_done = np.zeros(len(half), np.bool_)
-    for first in range(len(half)):
-        k, size, face = (-1 if is_done[first] else first), 0, number[first]
-        while k >= 0 or size:
-            v = half[k, 0] if k >= 0 else -1
-            begins = position[v] if k >= 0 else 0
-            if begins >= 0:
-                if size - begins > 2:
-                    ring[num : num + size - begins] = path[begins:size]
-                    num += size - begins
-                    ring_size[num_rings], of_face[num_rings] = size - begins, face
-                    area[num_rings] = _doubled_area(vertex_m, axes[face], path[begins:size])
-                    num_rings += 1
-                for each in path[begins:size]:
-                    position[each] = -1
-                size = begins
-            if k < 0:
-                break
-            is_done[k], path[size], position[v], size = True, v, size, size + 1
-            # where a face touches itself, the way goes on around the same part of it
-            onward, least = -1, np.inf
-            for m in at[begin[half[k, 1]] : begin[half[k, 1] + 1]]:
-                if number[m] == face and not is_done[m]:
-                    turn = _turn(vertex_m, axes[face], v, half[k, 1], half[m, 1])
-                    if turn < least:
-                        onward, least = m, turn
-            k = onward
-    return ring[:num], ring_size[:num_rings], of_face[:num_rings], area[:num_rings]
-
-
-@inner
-def _in_plane(vertex_m: np.ndarray, axes: np.ndarray, place: int, origin: int) -> tuple[float, float]:
-    """The coordinates of a vertex from another one along the axes (2, 3)."""
-    x, y, z = (
-        vertex_m[place, 0] - vertex_m[origin, 0],
-        vertex_m[place, 1] - vertex_m[origin, 1],
-        vertex_m[place, 2] - vertex_m[origin, 2],
-    )
-    return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-
-
-@inner
-def _doubled_area(vertex_m: np.ndarray, axes: np.ndarray, ring: np.ndarray) -> float:
-    result = 0.0
-    for i in range(1, len(ring) - 1):
-        x, y = _in_plane(vertex_m, axes, ring[i], ring[0])
-        after_x, after_y = _in_plane(vertex_m, axes, ring[i + 1], ring[0])
-        result += x * after_y - y * after_x
-    return result
-
-
-@inner
-def _turn(vertex_m: np.ndarray, axes: np.ndarray, before: int, place: int, after: int) -> float:
-    """The angle from the way back to the way on, clockwise."""
-    x, y = _in_plane(vertex_m, axes, before, place)
-    on_x, on_y = _in_plane(vertex_m, axes, after, place)
-    return (np.arctan2(y, x) - np.arctan2(on_y, on_x) - 1e-12) % (2 * np.pi)
