@@ -14,6 +14,7 @@ from p2wss.data.points import stride
 from p2wss.data.terrain import UNITS_M, Terrain
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.points.cloud_index import CloudIndex
+from p2wss.skeleton.types import differs
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import vertical_part
@@ -135,13 +136,15 @@ def _layers_m(ground_m: np.ndarray) -> float:
 
     Of one survey this is noise, also on slopes; of two that differ in their heights, the difference.
     """
-    square = np.floor(ground_m[:2])
-    order = np.lexsort((ground_m[2], *square))
-    ends = np.flatnonzero((np.diff(square[:, order]) != 0).any(axis=0)) + 1
-    steps = []
-    for heights in np.split(ground_m[2, order], ends):
-        if len(heights) >= RULES.min_points:
-            steps.append(np.diff(heights[len(heights) // 6 : -(len(heights) // 6)]).max())
+    square = np.floor(ground_m[0]) + 1j * np.floor(ground_m[1])
+    order = np.lexsort((ground_m[2], square))
+    begin = np.flatnonzero(differs(square[order]))
+    size = np.diff(begin, append=len(order))
+    place, num = np.arange(len(order)) - np.repeat(begin, size), np.repeat(size, size)
+    # where a step begins: none of the highest and lowest sixth
+    is_inner = (num >= RULES.min_points) & (place >= num // 6) & (place + 1 < num - num // 6)
+    steps = np.diff(ground_m[2, order], append=np.nan)[is_inner]
+    steps = np.maximum.reduceat(steps, np.flatnonzero(differs(np.repeat(begin, size)[is_inner])))
     return float(np.median(steps)) if len(steps) >= RULES.min_squares else float("nan")
 
 
