@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # 20 km by 20 km at 0.5 m, 6.4 GB
 _MAX_CELLS = 1_600_000_000
+# larger rasters are read where they are needed, 5 km by 5 km at 1 m being read whole
+_WHOLE_CELLS = 25_000_000
 # no compression packs more cells into a byte of a file, except in small ones
 _CELLS_PER_BYTE, _SMALL_CELLS = 1000, 10_000_000
 # no ground is lower or higher, and none so far above or below all cells beside it
@@ -100,14 +102,16 @@ class Terrain:
         )
 
 
-def check_size(raster: rasterio.DatasetReader, path: str | Path) -> None:
-    """Raise :class:`InputError` for a raster of more cells than anyone needs, or than its file can hold."""
-    cells = raster.width * raster.height
+def check_size(raster: rasterio.DatasetReader, path: str | Path, read: tuple[int, ...] | None = None) -> None:
+    """Raise :class:`InputError` for more cells than anyone needs, or than a file can hold. read: rows and columns of
+    the raster that are read, None for all."""
+    rows, columns = read or raster.shape
+    cells = rows * columns
     has_own_cells = raster.driver == "GTiff" and Path(path).is_file()
     limit = max(_CELLS_PER_BYTE * Path(path).stat().st_size, _SMALL_CELLS) if has_own_cells else _MAX_CELLS
     if cells > min(limit, _MAX_CELLS):
         raise InputError(
-            f"{path}: states {raster.width} x {raster.height} cells; cut it to the area needed if that is right"
+            f"{path}: states {columns} x {rows} cells; cut it to the area needed if that is right"
         )
 
 
@@ -116,6 +120,7 @@ def read_terrain(
     crs: str | None = None,
     unit: str = "",
     unstated_m: Callable[[pyproj.CRS], float] = lambda crs: 1.0,
+    windows: Callable[[pyproj.CRS], Iterable[Bounds]] = lambda crs: (),
 ) -> tuple[Terrain, pyproj.CRS]:
     """Read a raster of heights (first band) in metres, and its CRS.
 
@@ -124,9 +129,10 @@ def read_terrain(
 
     crs: assumed, with a note, for a raster that does not state one, such as most files .asc. unit: of the heights,
     whatever the raster states: a key of :data:`UNITS_M`. unstated_m: its length where the raster does not state it.
+    windows: of a raster of more than 25 million cells, in its CRS, the first with fewer is read, else the last.
 
     Raises :class:`InputError` if the file is missing, unreadable, rotated or without CRS, or has cells that are not
-    square.
+    square, or none in the window.
     """
     import rasterio  # most runs have no terrain
 
@@ -136,20 +142,51 @@ def read_terrain(
     with reading(path, "a readable raster"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what it lacks is said below
         with rasterio.open(path) as raster:
-            check_size(raster, path)
+            transform, stated, num_bands = raster.transform, raster.crs, raster.count
+            if (
+                transform.b
+                or transform.d
+                or transform.a <= 0
+                or abs(transform.a + transform.e) > 1e-6 * transform.a
+            ):
+                raise InputError(
+                    f"{path}: must be a north-up raster with square cells; resample it with gdalwarp"
+                )
+            with reading(path, "a raster in a CRS that PROJ knows"):
+                stated = None if stated is None else placed(pyproj.CRS.from_user_input(stated))
+                terrain_crs = (
+                    pyproj.CRS.from_user_input(crs) if stated is None and crs is not None else stated
+                )
+            if terrain_crs is None:
+                raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
+            # without memory for its cells
+            all_cells = Terrain(
+                np.broadcast_to(np.float32(0), raster.shape), transform.c, transform.f, transform.a
+            )
+            part = all_cells
+            for bounds in windows(terrain_crs) if all_cells.height_m.size > _WHOLE_CELLS else ():
+                part = all_cells.cut(bounds)
+                if part.height_m.size <= _WHOLE_CELLS:
+                    break
+            if not part.height_m.size:
+                raise InputError(
+                    f"{path}: is in {terrain_crs.name}, and has no cell at the footprints: is that its CRS?"
+                )
+            rows, columns = part.height_m.shape
+            check_size(raster, path, (rows, columns))
+            left = round((part.x_min_m - transform.c) / transform.a)
+            top = round((transform.f - part.y_max_m) / transform.a)
             scale, offset, band_unit = raster.scales[0], raster.offsets[0], raster.units[0] or ""
             is_plain = (scale, offset) == (1.0, 0.0)
-            heights = raster.read(1, out_dtype="float32" if is_plain else "float64", masked=True).filled(
-                np.nan
-            )
-            transform, stated, num_bands = raster.transform, raster.crs, raster.count
-    if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
-        raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
-    with reading(path, "a raster in a CRS that PROJ knows"):
-        stated = None if stated is None else placed(pyproj.CRS.from_user_input(stated))
-        terrain_crs = pyproj.CRS.from_user_input(crs) if stated is None and crs is not None else stated
-    if terrain_crs is None:
-        raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
+            heights = raster.read(
+                1,
+                window=((top, top + rows), (left, left + columns)),
+                out_dtype="float32" if is_plain else "float64",
+                masked=True,
+            ).filled(np.nan)
+    if part is not all_cells:
+        text = "note: %s: of its %d x %d cells, the %d x %d around the footprints are read"
+        log.info(text, path, *all_cells.height_m.shape[::-1], columns, rows)
     if stated is None:
         log.info("note: %s does not state its CRS; assuming %s", path, terrain_crs.name)
     if num_bands > 1:
@@ -158,8 +195,7 @@ def read_terrain(
     length_m = unstated_m(terrain_crs) if length_m is None else length_m
     if not is_plain or length_m != 1.0:
         heights = ((heights.astype(np.float64) * scale + offset) * length_m).astype(np.float32)
-    terrain = Terrain(heights, transform.c, transform.f, transform.a)
-    return without_impossible(terrain, path), terrain_crs
+    return without_impossible(replace(part, height_m=heights), path), terrain_crs
 
 
 def _stated_unit_m(crs: pyproj.CRS | None, band_unit: str, path: str | Path) -> float | None:

@@ -243,17 +243,19 @@ def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | N
     return chosen, [name for name in names if name != chosen]
 
 
-def layer_info(path: Path, layer: str = "") -> dict[str, Any]:
+def layer_info(path: Path, layer: str = "", with_bounds: bool = False) -> dict[str, Any]:
     """What a file states of the layer that is read (as by :func:`read_vector`), without reading the features:
-    ``features`` (their number), ``geometry_type`` (None without geometry), ``fields``, ``crs``, ``layer`` and
-    ``other_layers``. Raises :class:`InputError` if it is broken."""
+    ``features`` (their number), ``geometry_type`` (None without geometry), ``fields``, ``crs``, ``layer``,
+    ``other_layers`` and ``total_bounds``, which are None if they are not known without reading all, unless
+    ``with_bounds``. Raises :class:`InputError` if it is broken."""
     chosen, others = _layer(path, layer)
     if _is_parquet(path):
         info = _geoparquet_info(path)
     else:
         with opening(path):
             warnings.simplefilter("ignore")
-            info = dict(decoded(unpacked(path, layer), pyogrio.read_info, layer=chosen))
+            source = unpacked(path, layer)
+            info = dict(decoded(source, pyogrio.read_info, layer=chosen, force_total_bounds=with_bounds))
     return info | {"layer": chosen, "other_layers": others}
 
 
@@ -272,6 +274,7 @@ def _geoparquet_info(path: Path) -> dict[str, Any]:
         "geometry_type": None if column is None else " ".join(column["geometry_types"]) or "Unknown",
         "fields": names,
         "crs": None if column is None else column.get("crs", "OGC:CRS84"),
+        "total_bounds": column and column.get("bbox") and np.reshape(column["bbox"], (2, -1))[:, :2].ravel(),
     }
 
 

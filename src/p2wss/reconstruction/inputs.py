@@ -17,11 +17,20 @@ import shapely
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
-from p2wss.data.crs import MetricCrs, check_crs, common_crs, doubtful_place, metric_crs, odd_place, same_crs
+from p2wss.data.crs import (
+    MetricCrs,
+    check_crs,
+    common_crs,
+    doubtful_place,
+    horizontal,
+    metric_crs,
+    odd_place,
+    same_crs,
+)
 from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet, class_set
 from p2wss.data.listing import VECTOR
 from p2wss.data.terrain import UNITS_M, Terrain, read_terrain
-from p2wss.data.tiling import Bounds, are_near, bounds_of_points
+from p2wss.data.tiling import Bounds, are_near, bounds_of_points, grown
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
@@ -46,6 +55,8 @@ _COARSE = 0.1
 _FAR_M = 100_000.0
 # LAS 1.4 names fewer than 20 classes, and surveys add a few
 _MAX_CLASSES = 32
+# around footprints, besides the margin of the triangulated terrain, where heights of a large raster are read
+_GROUND_M = 100.0
 # on the ground
 _RADIAN_M = 6.4e6
 # what messages and outputs call data without a file
@@ -156,7 +167,16 @@ def check_inputs(
     raster = None
     if terrain is not None:
         unit = config.reconstruct.terrain_unit
-        heights, heights_crs = read_terrain(terrain, metric.source.to_wkt(), unit, metric.unstated_m)
+
+        def of_terrain(terrain_crs: pyproj.CRS) -> Iterator[Bounds]:
+            margin_m = config.reconstruct.terrain_margin_m + _GROUND_M
+            layer = config.reconstruct.footprint_layer
+            for window in _windows(footprints, footprints_crs or source, layer, headers, metric):
+                yield _transformed(grown(window, margin_m), metric.crs, terrain_crs)
+
+        heights, heights_crs = read_terrain(
+            terrain, metric.source.to_wkt(), unit, metric.unstated_m, of_terrain
+        )
         raster = (metric.terrain(heights, heights_crs, terrain), Path(terrain))
         windows = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
         if windows and not any(raster[0].cut(window).height_m.size for window in windows):
@@ -167,6 +187,41 @@ def check_inputs(
     of_roofs = None if lines is None else (read_lines(lines, metric), name)
     completion = str(model) != NO_NETWORK
     return Inputs(_name(cloud), headers, points, footprints, metric, raster, weights, completion, of_roofs)
+
+
+def _windows(
+    footprints: Path | gpd.GeoDataFrame | None,
+    crs: pyproj.CRS,
+    layer: str,
+    headers: Sequence[CloudHeader],
+    metric: MetricCrs,
+) -> Iterator[Bounds]:
+    """The window of the footprints in the CRS of the run, then the part of it that the clouds cover. crs: of the
+    footprints."""
+    boxes = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
+    window: Bounds | None = None
+    if footprints is not None:
+        if isinstance(footprints, Path):
+            bounds = vector_files.layer_info(footprints, layer, with_bounds=True)["total_bounds"]
+        else:
+            bounds = footprints.total_bounds
+        if bounds is not None and np.isfinite(bounds).all():
+            yield (window := _transformed(bounds, crs, metric.crs))
+    if boxes:
+        low, high = np.min(boxes, axis=0)[:2], np.max(boxes, axis=0)[2:]
+        if window is not None:
+            low, high = np.maximum(low, window[:2]), np.minimum(high, window[2:])
+        if (low <= high).all():
+            yield (*low.tolist(), *high.tolist())
+
+
+def _transformed(bounds: Bounds, source: pyproj.CRS, crs: pyproj.CRS) -> Bounds:
+    """A window in ``source`` in the horizontal part of another CRS."""
+    if same_crs(source, crs):
+        return bounds
+    transformer = pyproj.Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
+    low_x, low_y, high_x, high_y = transformer.transform_bounds(*bounds)
+    return low_x, low_y, high_x, high_y
 
 
 def _metric(

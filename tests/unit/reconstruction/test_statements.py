@@ -9,12 +9,16 @@ from typing import Any
 import control_houses as houses
 import laspy
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
+import rasterio
 import shapely
 from places import SHARED
 
 import p2wss
+from p2wss.config import as_config
+from p2wss.reconstruction.inputs import check_inputs
 from p2wss.reconstruction.points import plausibility
 from p2wss.storage.errors import InputError
 
@@ -307,6 +311,44 @@ def test_a_terrain_of_stated_unit_that_is_far_from_the_points_is_doubted(
     config = {"reconstruct": {"terrain_unit": "m", "registration": "never"}}
     assert_right(built(cloud, houses.footprints(), terrain=terrain, config=config))
     assert "its heights are +46.0 m from the ground of the points" in caplog.text
+
+
+@pytest.mark.parametrize("kind", ["file", "table", "country", "none"])
+@pytest.mark.parametrize("crs", ["EPSG:2154", "EPSG:3857"])
+def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, crs: str
+) -> None:
+    """Read whole, its 1.6 billion cells would take 6.4 GB. Footprints of the country are cut by the cloud."""
+    cloud, footprints = houses.write_cloud(tmp_path / "c.laz", crs=crs), houses.footprints()
+    if kind == "country":
+        far = footprints.set_geometry(footprints.translate(15_000, 15_000)).assign(id=["a", "b"])
+        footprints = pd.concat([footprints, far])
+    path = tmp_path / "f.gpkg"
+    footprints.to_file(path)
+    x, y = houses.PLACES["EPSG:2154"]
+    profile = {"width": 40_000, "height": 40_000, "count": 1, "dtype": "float32", "crs": "EPSG:2154"}
+    corner = rasterio.transform.from_origin(x - 20_000, y + 20_000, 1, 1)
+    with rasterio.open(
+        tmp_path / "t.tif", "w", transform=corner, tiled=True, SPARSE_OK=True, nodata=-9999, **profile
+    ) as raster:
+        heights_m = np.tile(houses.GROUND_M + 0.01 * np.arange(600, dtype=np.float32), (600, 1))
+        raster.write(heights_m, 1, window=((19_700, 20_300), (19_700, 20_300)))
+    given = {"file": path, "country": path, "table": footprints, "none": None}[kind]
+    config = as_config(None)
+    with caplog.at_level("INFO"):
+        inputs = check_inputs(cloud, given, config, terrain=tmp_path / "t.tif")
+    assert re.search(r"of its 40000 x 40000 cells, the \d+ x \d+ around the footprints", caplog.text)
+    assert inputs.terrain is not None and inputs.terrain[0].height_m.size < 600**2
+    at_x, at_y = np.add([[-20.5, -4.0, 27.5], [-14.0, 8.0, 20.5]], [[x], [y]])
+    if crs != "EPSG:2154":
+        at_x, at_y = pyproj.Transformer.from_crs("EPSG:2154", inputs.crs, always_xy=True).transform(
+            at_x, at_y
+        )
+    expected_m = houses.GROUND_M + 0.01 * (np.array([-20.5, -4.0, 27.5]) + 299.5)
+    np.testing.assert_allclose(inputs.terrain[0].interpolated(at_x, at_y), expected_m, atol=1e-2)
+    elsewhere = footprints.set_geometry(footprints.translate(60_000, 0))
+    with pytest.raises(InputError, match=r"t\.tif: .* has no cell at the footprints: is that its CRS"):
+        check_inputs(cloud, elsewhere, config, terrain=tmp_path / "t.tif")
 
 
 def test_a_cloud_and_a_terrain_in_mercator(tmp_path: Path) -> None:
