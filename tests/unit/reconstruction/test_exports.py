@@ -180,7 +180,8 @@ def test_meshes_stand_in_the_terrain(results: list[Result], tmp_path: Path) -> N
     assert high[0] - low[0] == pytest.approx(71, abs=0.01) and high[2] - low[2] == pytest.approx(39, abs=0.01)
     assert scene.geometry["A/1"].bounds[0, 1] < scene.geometry["a_1"].bounds[0, 1]
     summary = json.loads((tmp_path / "out.json").read_text())
-    assert summary["terrain"] == {"mesh": "terrain", "triangles": len(scene.geometry["terrain"].faces)}
+    num_triangles = len(scene.geometry["terrain"].faces)
+    assert summary["terrain"] == {"mesh": "terrain", "triangles": num_triangles, "spacing_m": 1.0}
     # the buildings in CityJSON do not change
     (tmp_path / "without_terrain").mkdir()
     exports.write(tmp_path / "without_terrain", "out", results, LAMBERT, {}, config)

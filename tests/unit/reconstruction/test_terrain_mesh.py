@@ -76,6 +76,18 @@ def test_flat_land_needs_few_triangles_and_gaps_take_the_nearest_height() -> Non
     assert local.bounds[0, 0] <= -20 and local.bounds[1, 0] >= 50
 
 
+def test_a_coarser_grid_of_a_large_terrain_is_told(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    height, bounds = np.add.outer(np.arange(60.0), np.zeros(60)), (X + 5, Y + 5, X + 55, Y + 55)
+    assert terrain_mesh.block(terrain(height, 0.5), bounds, 0.1).attributes == {"spacing_m": 0.5}
+    assert not caplog.text
+    monkeypatch.setattr(terrain_mesh, "_MAX_CELLS", 1500)
+    body = terrain_mesh.block(terrain(height, 0.5), bounds, 0.1)
+    assert body.attributes == {"spacing_m": 1.5}
+    assert "more than 1500 cells: its mesh has heights every 1.5 m, not every 0.5 m" in caplog.text
+
+
 def test_terrain_without_any_height_is_refused() -> None:
     with pytest.raises(ValueError, match="no height"):
         terrain_mesh.block(terrain(np.full((20, 20), np.nan)), (X, Y, X + 10, Y + 10), 0.1)

@@ -135,7 +135,7 @@ def write(
             "is_complete": len(done) == len(outputs),
             "terrain": None
             if ground is None
-            else {"mesh": ground.name, "triangles": len(ground.mesh.triangle)},
+            else {"mesh": ground.name, "triangles": len(ground.mesh.triangle), **ground.attributes},
         },
     )
     return [*written, f"{stem}.json"]

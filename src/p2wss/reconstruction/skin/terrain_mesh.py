@@ -15,6 +15,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.topology import border_rings, doubled_plan_areas, twins
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.log_lines import log
 
 NAME = "terrain"
 # the block reaches this far below the lowest ground, a building this far below the lowest terrain under it
@@ -29,9 +30,18 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
     The top is a Delaunay triangulation, to which cells are added as vertices until no cell is further than
     ``tolerance_m`` above or below it (greedy insertion, Garland and Heckbert 1995, section 4, the worst cell of
     every triangle in each round). The sides are vertical; the bottom is level, below all ground and ``lowest_m``.
-    Cells without data take the height of the nearest cell with data. Raises ``ValueError`` if there is none.
+    Cells without data take the height of the nearest cell with data. Of more than 4 million cells, one in k along rows
+    and columns is used, with a warning; the attribute ``spacing_m`` tells. Raises ``ValueError`` if there is no height.
     """
-    height_m, x_m, y_m = _window(terrain, bounds)
+    height_m, x_m, y_m, spacing_m = _window(terrain, bounds)
+    if spacing_m > terrain.cell_m:
+        log.warning(
+            "warning: the terrain around the buildings has more than %d cells: its mesh has heights every %g m, not"
+            " every %g m (fewer buildings at a time, as by --bbox, have all)",
+            _MAX_CELLS,
+            spacing_m,
+            terrain.cell_m,
+        )
     rows, columns = height_m.shape
     vertices = np.array([0, columns - 1, (rows - 1) * columns, rows * columns - 1])
     while True:
@@ -48,7 +58,8 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
             break
         vertices = extended
     top_m = np.column_stack([x_m[column], y_m[row], height_m[row, column]])
-    return _closed(top_m, upper, min(float(height_m.min()), lowest_m) - _BELOW_M)
+    body = _closed(top_m, upper, min(float(height_m.min()), lowest_m) - _BELOW_M)
+    return replace(body, attributes={"spacing_m": spacing_m})
 
 
 def lowered_into(bodies: Sequence[Body], terrain: Terrain) -> list[Body]:
@@ -95,8 +106,9 @@ def _worst_cells(height_m: np.ndarray, corner: np.ndarray, tolerance_m: float) -
     return result
 
 
-def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights of a grid that covers ``bounds``, gaps filled, with the x (columns,) and y (rows,) of its cells."""
+def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Heights of a grid that covers ``bounds``, gaps filled, the x (columns,) and y (rows,) of its cells, and how far
+    they are apart."""
     cell = terrain.cell_m
     x_min, y_min, x_max, y_max = bounds
     left = int(np.floor((x_min - terrain.x_min_m) / cell - 0.5))
@@ -116,7 +128,7 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
     if not has_data.all():
         nearest = scipy.ndimage.distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
-    return height, terrain.x_min_m + (column + 0.5) * cell, terrain.y_max_m - (row + 0.5) * cell
+    return height, terrain.x_min_m + (column + 0.5) * cell, terrain.y_max_m - (row + 0.5) * cell, step * cell
 
 
 def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Body:
