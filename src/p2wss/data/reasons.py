@@ -18,7 +18,6 @@ TOO_MANY_EDGES = "too-many-edges"
 HAS_PARTS = "has-parts"
 DUPLICATE = "duplicate"
 WITHIN_OTHER = "within-other"
-ELSEWHERE = (HAS_PARTS, DUPLICATE, WITHIN_OTHER)  # built by other footprints
 NO_TERRAIN = "no-terrain"
 TOO_HIGH = "too-high"
 

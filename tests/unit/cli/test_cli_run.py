@@ -10,6 +10,7 @@ from pathlib import Path
 
 import geopandas as gpd
 import pytest
+import shapely
 
 import p2wss
 from p2wss import cli
@@ -89,18 +90,18 @@ def test_files_that_an_earlier_run_left_are_named(
 def test_footprints_beyond_the_cloud_are_counted(
     demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    footprints = gpd.read_file(demo / "footprints.gpkg").iloc[:4].assign(hauteur=float("nan"))
+    footprints = gpd.read_file(demo / "footprints.gpkg").iloc[:6].assign(hauteur=float("nan"))
     footprints.loc[footprints.index[2:], "geometry"] = footprints.geometry[2:].translate(900, 0)
+    footprints.loc[footprints.index[4:], "geometry"] = [shapely.Polygon(), None]
     footprints.to_file(tmp_path / "footprints.gpkg")
     inputs = [str(demo / "lidar.laz"), str(tmp_path / "footprints.gpkg"), str(tmp_path / "out")]
     with caplog.at_level(logging.INFO):
         assert cli.main(["reconstruct", *inputs, "--outputs", "cityjson"]) == 0
-    assert "warning: the cloud has no point at 2 of 4 footprints" in caplog.text
+    assert "warning: the cloud has no point at 2 of 6 footprints" in caplog.text
     counts = json.loads((tmp_path / "out/lidar.json").read_text(encoding="utf-8"))["buildings"]
     assert counts["without_points"] == 2 and {*footprints["cleabs"][2:]} <= {*counts["to_check"]}
-    assert counts["doubts"] == {"height-from-attribute": 2, "extended": 1}
-    text = "1 need no look, 3 to check (2 height from attribute, 1 extended): "
-    assert text + ", ".join(counts["to_check"]) in caplog.text
+    assert counts["doubts"] == {"height-from-attribute": 2, "empty": 2, "extended": 1}
+    assert "1 need no look, 5 to check (2 empty, 2 height from attribute, 1 extended): " in caplog.text
 
 
 def test_quiet_says_nothing_of_a_run_without_faults(
