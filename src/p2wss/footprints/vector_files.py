@@ -36,6 +36,8 @@ _KINDS = {"polygons": ("Polygon", "Surface"), "lines": ("LineString", "Curve")}
 # endings of tables as text, and columns in which they may have geometry
 _TABLES = (".csv", ".tsv", ".psv")
 _WKT_COLUMNS = ("WKT", "geometry", "geom", "the_geom", "wkt_geom")
+# endings of GML, the second of other formats, too
+_GML = (".gml", ".xml")
 # of files in a .zip that are read
 _PACKED = (".shp", ".gpkg", ".gdb", ".geojson", ".fgb", ".gml", ".kml")
 
@@ -156,6 +158,8 @@ def opening(path: str | Path) -> Iterator[None]:
     with reading(path, _KIND), warnings.catch_warnings(record=True) as said:
         # of a database by another ending, which is read all the same
         warnings.filterwarnings("ignore", ".*non conformant file extension", RuntimeWarning)
+        # of .xml that is no GML, as of the Dutch cadastre
+        warnings.filterwarnings("ignore", ".*does not support open option", RuntimeWarning)
         try:
             yield
         except pyogrio.errors.GeometryError as error:  # 3D of any kind, TIN, polyhedral surfaces
@@ -181,7 +185,7 @@ def _options(path: str | Path) -> dict[str, str]:
     ending = Path(path).suffix.lower()
     if ending in _TABLES:
         return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
-    if ending == ".gml":
+    if ending in _GML:
         # columns are those of its schema, or of its features: a .gfs beside it may be of another file
         return {"XSD": str(path)[: -len(ending)] + ".xsd", "WRITE_GFS": "NO"}
     return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending in (".osm", ".pbf") else {}
@@ -189,7 +193,7 @@ def _options(path: str | Path) -> dict[str, str]:
 
 def layers_of(path: str | Path) -> list[tuple[str, str | None]]:
     """(name, kind of geometry or None) of each layer of what :func:`unpacked` returns."""
-    if Path(path).suffix.lower() != ".gml":
+    if Path(path).suffix.lower() not in _GML:
         return [(str(name), kind) for name, kind in pyogrio.list_layers(path).tolist()]
     result: list[tuple[str, str | None]] = []
     while True:  # list_layers has no options

@@ -22,7 +22,7 @@ import shapely
 from p2wss.cli.inspection import describe
 from p2wss.data.crs import MetricCrs
 from p2wss.footprints.cleaning import read_footprints
-from p2wss.footprints.vector_files import layer_info
+from p2wss.footprints.vector_files import layer_info, read_vector
 from p2wss.storage.errors import InputError
 
 FOREST = shapely.box(-40, -40, 40, 40)
@@ -82,10 +82,11 @@ def test_formats_are_read_without_a_word(name: str, tmp_path: Path) -> None:
     assert (shapely.hausdorff_distance(shapely.force_2d(shapes), expected) < 0.05).all()
 
 
-def test_columns_of_gml_are_its_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["f.gml", "f.xml"])
+def test_columns_of_gml_are_its_own(tmp_path: Path, name: str) -> None:
     """GDAL keeps the columns of a GML without schema in a file beside it, and believes that of another, too."""
     frame = houses.footprints()
-    path = WRITERS["gml"](frame, tmp_path)
+    path = _moved(WRITERS["gml"](frame, tmp_path), name)
     path.with_suffix(".xsd").unlink()
     other = _to_file(frame.drop(columns="id"), tmp_path / "other.gml", "GML")
     other.with_suffix(".xsd").unlink()
@@ -96,6 +97,25 @@ def test_columns_of_gml_are_its_own(tmp_path: Path) -> None:
     names = read_footprints(path, metric=MetricCrs(frame.crs, frame.crs))["building_id"]
     assert sorted(names) == ["flat", "gable"]
     assert not [*tmp_path.glob("*.gfs")]
+
+
+# an extract of the BAG with a building
+BAG = (
+    "<sl-bag-extract:bagStand xmlns:Objecten='www.kadaster.nl/schemas/lvbag/imbag/objecten/v20200601'"
+    " xmlns:gml='http://www.opengis.net/gml/3.2' xmlns:sl='http://www.kadaster.nl/schemas/standlevering-generiek/1.0'"
+    " xmlns:sl-bag-extract='http://www.kadaster.nl/schemas/lvbag/extract-deelbestand-lvc/v20200601'><sl:standBestand><sl:inhoud>"
+    "<sl:objectTypen><sl:objectType>PND</sl:objectType></sl:objectTypen></sl:inhoud><sl:stand><sl-bag-extract:bagObject>"
+    "<Objecten:Pand><Objecten:identificatie>0106</Objecten:identificatie><Objecten:geometrie>"
+    "<gml:Polygon srsName='urn:ogc:def:crs:EPSG::28992'><gml:exterior><gml:LinearRing>"
+    "<gml:posList>9 0 20 0 20 9 9 9 9 0</gml:posList></gml:LinearRing></gml:exterior></gml:Polygon>"
+    "</Objecten:geometrie></Objecten:Pand></sl-bag-extract:bagObject></sl:stand></sl:standBestand></sl-bag-extract:bagStand>"
+)
+
+
+def test_xml_of_the_dutch_cadastre_is_no_gml(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "bag.xml").write_text(BAG)
+    (shape,) = read_vector(tmp_path / "bag.xml")[0].geometry
+    assert shapely.area(shape) == 99 and not caplog.text
 
 
 @pytest.mark.parametrize("name", ["osm", "pbf"])
