@@ -35,6 +35,8 @@ _SAME_PLACE_M = 1e-4
 _MAX_DISTORTION = 0.005
 # coordinates this near to zero, outside the area of use, are local ones
 _LOCAL = 10_000.0
+# latitude and longitude this near to zero are in the sea
+_NOWHERE_DEG = 0.1
 
 
 @dataclass(frozen=True)
@@ -216,10 +218,17 @@ def metric_crs(
 
 def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     """What may be wrong with coordinates that are outside of the area of use of their projection, if they would be
-    inside without it; else ""."""
+    inside without it, and with those in the sea at latitude and longitude zero; else ""."""
     x, y = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
-    if not crs.is_projected or is_plausible(crs, (x, y)):
+    if not crs.is_projected:
         return ""
+    if is_plausible(crs, (x, y)):
+        if np.abs(in_degrees(horizontal(crs), x, y)).max() > _NOWHERE_DEG:
+            return ""
+        return (
+            "is at latitude 0, longitude 0, in the sea; if its origin was moved, move it back, as how long a metre on"
+            f" the ground is in {crs.name} depends on the place"
+        )
     own_m = horizontal(crs).axis_info[0].unit_conversion_factor
     # as in Germany: 32389000 for 389000 in zone 32
     wrong = {"x and y were swapped": (y, x), "x did not begin with a zone": (np.fmod(x, 1e6), y)}

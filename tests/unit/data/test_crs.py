@@ -290,6 +290,9 @@ def test_footprints_written_in_degrees_come_back_to_the_centimetre(tmp_path: Pat
         (2991, 635_620, 848_900, "x and y were swapped or x and y were in ft"),
         # around an origin of its own, and where no such fault explains it
         (25832, 50, 80, ""),
+        # where lengths depend on the place
+        (3857, 50, 80, "is at latitude 0, longitude 0, in the sea; if its origin was moved"),
+        (3857, 0, 6_800_000, ""),
         (2180, -501_000, 562_000, ""),
         (4326, 52.0, 4.36, ""),
     ],
