@@ -58,7 +58,8 @@ FLAGS: dict[str, str] = {
     NO_BUILDING: "the area inside the footprint is ground",
     PARTLY_DEMOLISHED: "a contiguous area inside the footprint is ground: a demolished part, or a courtyard",
     EXTENDED: "a contiguous area beside the footprint and outside all footprints is roof: an extension, or a neighbour",
-    BEYOND_POINTS: "a part of the footprint is far from all points, as beyond the border of a cloud: a guess",
+    BEYOND_POINTS: "a part of the footprint is far from all points, or most has none, as beyond the border of a cloud: "
+    "a guess",
 }
 
 MEANINGS: dict[str, str] = {

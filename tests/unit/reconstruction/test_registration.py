@@ -456,6 +456,26 @@ def test_footprints_that_the_border_of_the_cloud_cuts_are_flagged(registers: int
     assert [row.flags for row in rows] == [(), ()]
 
 
+@pytest.mark.parametrize(
+    ("num_per_m2", "is_hidden", "flags"),
+    [(8.0, True, ("beyond-points",)), (8.0, False, ()), (0.4, False, ())],
+)
+def test_footprints_of_which_most_has_no_point_are_flagged_unless_points_are_few(
+    num_per_m2: float, is_hidden: bool, flags: tuple[str, ...]
+) -> None:
+    """Of 7 m, 4.5 m in the middle, as under black glass, are near points on both sides; of a sparse cloud, most cells
+    of 1 m of any roof have no point."""
+    cloud = cloud_of(BLOCK[0])
+    x_m = cloud.x_m - ORIGIN[0]
+    is_seen = np.random.default_rng(9).random(len(cloud)) < num_per_m2 / POINTS_PER_M2
+    is_seen &= (not is_hidden) | (x_m < 1.5) | (x_m > 6)
+    seen = Cloud(
+        *(each[is_seen] for each in (cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification)), LAMBERT
+    )
+    shapes = polygon_arrays.to_polygons(np.array([affinity.translate(BLOCK[0], *ORIGIN)], object))
+    assert contradictions(shapes, seen).flags == [flags]
+
+
 def test_a_footprint_far_larger_than_the_cloud_takes_the_work_of_the_points(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -27,7 +27,8 @@ class Rules:
     least cells with evidence of a square of nine, and of a footprint. min_area_m2: of ground inside or roofs outside
     that is flagged, or inside with no point in the cells of half of ``beyond_m`` around; of these, as large a share of
     the footprint as ``min_far_share``. min_ground_share, max_roof_share: of the cells with points, where there is no
-    building.
+    building. min_unseen_share: of its area without a point in the cells, where the others have ``min_in_cell`` on
+    average, as there are so many in sparse clouds.
     """
 
     beyond_m: float = 6.0
@@ -37,6 +38,8 @@ class Rules:
     min_ground_share: float = 0.7
     max_roof_share: float = 0.1
     min_far_share: float = 0.1
+    min_unseen_share: float = 0.5
+    min_in_cell: float = 3.0
 
 
 RULES = Rules()
@@ -81,8 +84,11 @@ def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
         & (roof_share <= RULES.max_roof_share)
     )
     shapes = polygon_arrays.to_geometries(polygons)
-    far_m2 = _far_m2(shapes, cells)
-    is_cut = far_m2 >= np.maximum(RULES.min_area_m2, RULES.min_far_share * shapely.area(shapes))
+    area_m2 = shapely.area(shapes)
+    is_cut = _far_m2(shapes, cells) >= np.maximum(RULES.min_area_m2, RULES.min_far_share * area_m2)
+    num_points = np.bincount(of_cell[in_any], cells.num_points[in_any], minlength=count)
+    is_unseen = area_m2 - has_points >= np.maximum(RULES.min_area_m2, RULES.min_unseen_share * area_m2)
+    is_cut |= is_unseen & (num_points >= RULES.min_in_cell * has_points)
     rules = (
         (reasons.NO_BUILDING, is_empty),
         (reasons.PARTLY_DEMOLISHED, ~is_empty & (ground_inside_m2 >= RULES.min_area_m2)),
@@ -140,7 +146,8 @@ def _of_nearest(
 
 
 class _Cells:
-    """The cells of 1 m that have points, at whole metres. x_m, y_m: their centres. is_ground, is_roof: masks."""
+    """The cells of 1 m that have points, at whole metres. x_m, y_m: their centres. num_points: in each. is_ground,
+    is_roof: masks."""
 
     def __init__(self, x_m: np.ndarray, y_m: np.ndarray, classification: np.ndarray) -> None:
         column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
@@ -150,6 +157,7 @@ class _Cells:
         key = row * self._width + column - self._left
         self._key, of_point = numbered(key)
         count = len(self._key)
+        self.num_points = np.bincount(of_point, minlength=count)
         num_ground = np.bincount(of_point[classification == GROUND_CLASS], minlength=count)
         num_roof = np.bincount(of_point[classification == BUILDING_CLASS], minlength=count)
         self.is_roof = (num_roof > 0) & (num_roof >= num_ground)
