@@ -18,6 +18,7 @@ TOO_MANY_EDGES = "too-many-edges"
 HAS_PARTS = "has-parts"
 DUPLICATE = "duplicate"
 WITHIN_OTHER = "within-other"
+AROUND_OTHERS = "around-others"
 NO_TERRAIN = "no-terrain"
 TOO_HIGH = "too-high"
 
@@ -72,6 +73,7 @@ MEANINGS: dict[str, str] = {
     HAS_PARTS: "the footprint is the outline of others, its parts, which are built in its place",
     DUPLICATE: "another footprint covers nearly the same place, and is built",
     WITHIN_OTHER: "the footprint lies in others, with which it is built",
+    AROUND_OTHERS: "the footprint is larger than any building, 0.5 km2, and has others in it, as the border of a map",
     NO_TERRAIN: "the terrain model has too few heights along the footprint (scenes.min_terrain_share)",
     TOO_HIGH: "the eave is higher than scenes.max_eave_height_m",
     TOO_LARGE: "the footprint reaches further than 320 m from its centre, beyond the number format of crops",

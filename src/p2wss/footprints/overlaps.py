@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,8 @@ _NARROW_M = 0.5
 _WITHIN_SHARE, _PARTS_SHARE = 0.9, 0.9
 # one of which others cover more is not built; the rest of one of which they cover less is, where it is so wide
 _COVERED_SHARE, _REST_WIDTH_M = 2 / 3, 2.0
+# a footprint as large is no building if so many others are in it
+_LARGEST_M2, _NUM_INSIDE = 500_000.0, 3
 _NUM_NAMED = 3
 
 
@@ -28,7 +30,8 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
     """(the footprints, so that each place belongs to one only; those in whose place others are not built, bool (n,)).
 
     features: as :func:`p2wss.footprints.cleaning.split_parts` returns them. An outline whose parts cover it gives way
-    to them, and they get the height that it states if they state none. Otherwise the larger one stays as it is, and of
+    to them, and they get the height that it states if they state none; one that is larger than any building gives way
+    to all that are in it (:data:`~p2wss.data.reasons.AROUND_OTHERS`). Otherwise the larger one stays as it is, and of
     the smaller one what is outside it; if that is little, it has a status, :data:`~p2wss.data.reasons.DUPLICATE` or
     :data:`~p2wss.data.reasons.WITHIN_OTHER`, and no polygon. The column ``overlapping_ids`` then names the others.
 
@@ -52,7 +55,17 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
         sorted(beside, key=ids.__getitem__, reverse=True), key=lambda k: (area_m2[k], *bounds[k])
     )
     for k in ascending:
-        parts = _parts(k, beside[k], shapes, area_m2, status)
+        inside = [
+            each
+            for each, common in beside[k].items()
+            if status[each] == reasons.OK
+            and common > _WITHIN_SHARE * area_m2[each]
+            and area_m2[each] < _WITHIN_SHARE * area_m2[k]
+        ]
+        parts = _parts(k, inside, shapes, area_m2)
+        if not parts and area_m2[k] > _LARGEST_M2 and len(inside) >= _NUM_INSIDE:
+            status[k] = reasons.AROUND_OTHERS
+            others[k] = " ".join(sorted(ids[each] for each in inside))
         if parts:
             status[k] = reasons.HAS_PARTS
             is_covering[parts] = True
@@ -99,17 +112,8 @@ def _wide_overlaps(shapes: np.ndarray, is_usable: np.ndarray) -> tuple[np.ndarra
     return pairs[wide], shapely.area(common[wide])
 
 
-def _parts(
-    outline: int, beside: dict[int, float], shapes: np.ndarray, area_m2: np.ndarray, status: np.ndarray
-) -> list[int]:
+def _parts(outline: int, parts: list[int], shapes: np.ndarray, area_m2: np.ndarray) -> list[int]:
     """The footprints that are in an outline, if they cover it and no two of them the same place; else none."""
-    parts = [
-        each
-        for each, common in beside.items()
-        if status[each] == reasons.OK
-        and common > _WITHIN_SHARE * area_m2[each]
-        and area_m2[each] < _WITHIN_SHARE * area_m2[outline]
-    ]
     together_m2 = shapely.union_all(shapes[parts]).intersection(shapes[outline]).area
     is_covered = together_m2 > _PARTS_SHARE * area_m2[outline]
     is_once = area_m2[parts].sum() < together_m2 / _PARTS_SHARE
@@ -123,6 +127,7 @@ def tell(features: Features) -> None:
     ids, status, others = features["building_id"].tolist(), features["status"], features[COLUMN]
     texts = {
         reasons.HAS_PARTS: "gave way to their parts",
+        reasons.AROUND_OTHERS: "are larger than any building, and give way to those in them",
         reasons.DUPLICATE: "are there twice, and are built once",
         reasons.WITHIN_OTHER: "are within others, and are not built",
         reasons.OK: "overlap larger ones, and are built without the overlap",
@@ -133,4 +138,7 @@ def tell(features: Features) -> None:
             names = ", ".join(ids[k] for k in rows[:_NUM_NAMED]) + ", .." * (len(rows) > _NUM_NAMED)
             level = logging.INFO if reason == reasons.HAS_PARTS else logging.WARNING
             prefix = "note" if reason == reasons.HAS_PARTS else "warning"
+            if reason == reasons.WITHIN_OTHER:
+                (most, _), *_ = Counter(name for k in rows for name in others[k].split(" ")).most_common()
+                names += f"; most in {most}: leave it out if it is no building"
             log.log(level, "%s: footprints that %s: %d (%s)", prefix, text, len(rows), names)
