@@ -43,12 +43,14 @@ class CloudCrops:
     point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for points in the buffer around
     the footprint. ground_z_m: float64 (n,), z of the ground at the building (:func:`ground_height`). If the cloud
     has no ground there, it is the 2 % quantile of the heights of the building's points; NaN only without points.
+    is_foot: bool (n,), whether it is that quantile: at best, the foot of a wall.
     """
 
     point: np.ndarray
     inside: np.ndarray
     offset: np.ndarray
     ground_z_m: np.ndarray
+    is_foot: np.ndarray
 
     def of(self, polygon: int) -> np.ndarray:
         """Indices of the points of one polygon."""
@@ -60,9 +62,10 @@ def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cloud
     point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
     first_ring = (point, inside, offset) if buffer_m == _GROUND_RINGS_M[0] else None
     ground_z_m = ground_height(cloud, polygons, first_ring)
-    for p in np.flatnonzero(np.isnan(ground_z_m) & (np.diff(offset) > 0)):
+    is_foot = np.isnan(ground_z_m) & (np.diff(offset) > 0)
+    for p in np.flatnonzero(is_foot):
         ground_z_m[p] = np.quantile(cloud.z_m[point[offset[p] : offset[p + 1]]], _FOOT_QUANTILE)
-    return CloudCrops(point, inside, offset, ground_z_m)
+    return CloudCrops(point, inside, offset, ground_z_m, is_foot)
 
 
 def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[int, np.ndarray]:

@@ -47,7 +47,7 @@ from p2wss.reconstruction.inputs import Inputs, read_outlines
 from p2wss.reconstruction.outputs import exports, page, picture, vegetation
 from p2wss.reconstruction.outputs.attributes import attributes, table
 from p2wss.reconstruction.pipeline import Rows
-from p2wss.reconstruction.points import plausibility, unclassified
+from p2wss.reconstruction.points import ground, plausibility, unclassified
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.reconstruction.registration import register as registration
 from p2wss.reconstruction.result import STATUSES, Result, summary
@@ -560,6 +560,15 @@ def _reconstruct(
             log.info("%s", registration.summary(result.registration for result in results))
         if tile is None and inputs.footprints is not None and not any(r.num_points for r in results):
             raise InputError(_no_overlap(len(results), inputs, points.num_points))
+        num_unseen = sum(r.ground is not None and r.ground[0] == ground.OWN for r in results)
+        if num_unseen:
+            text = "warning: no ground is seen around %d of %d buildings; it is guessed from their own points"
+            log.warning(
+                text + " (ground_source), often too high%s",
+                num_unseen,
+                len(results),
+                "" if terrain else "; --terrain states it",
+            )
         if terrain is not None and (difference := exports.terrain_note(results, terrain)):
             log.info("note: %s", difference)
         facts = files.provenance(

@@ -335,6 +335,19 @@ def test_the_ground_is_never_above_the_own_points() -> None:
     assert found(low) == (20.0, "lowest-points")
 
 
+def test_without_any_ground_the_terrain_is_it_and_else_the_own_points_are() -> None:
+    """As of a cloud of class building alone, which has points on a wall, too, down to 24 m."""
+    polygons = polygon_arrays.to_polygons(np.array([shapely.Polygon(RING)]))
+    cloud = cloud_of(28.0, np.column_stack([np.zeros(40), np.full(40, 5.0), np.linspace(24.0, 28.0, 40)]), 6)
+    cropped = crop_cloud(cloud, polygons)
+    terrain = Terrain(np.full((40, 40), 22.0, np.float32), -10.0, 30.0, 1.0)
+    known, unknown = (ground_of(cloud, cropped, polygons, each) for each in (terrain, None))
+    assert cropped.is_foot.all() and (known.z_m[0], known.source[0]) == (22.0, "terrain")
+    assert unknown.source[0] == "own-points" and 24 < unknown.z_m[0] < 28 and unknown.sd_m[0] > 1
+    ground = np.column_stack([xy := grid((9, 0), (12, 10)), np.full(len(xy), 20.0)])
+    assert not crop_cloud(cloud_of(28.0, ground), polygons).is_foot.any()
+
+
 @pytest.mark.parametrize(("share", "found"), [(0.2, (40.0, "around")), (0.8, (37.0, "storey"))])
 def test_some_points_of_class_building_on_the_ground_are_no_roof(
     share: float, found: tuple[float, str]

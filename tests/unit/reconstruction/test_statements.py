@@ -313,6 +313,26 @@ def test_a_terrain_of_stated_unit_that_is_far_from_the_points_is_doubted(
     assert "its heights are +46.0 m from the ground of the points" in caplog.text
 
 
+def test_of_roofs_alone_the_terrain_is_the_ground(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Houses 30 m above it, too: lower ones of no height would tell that it is in another unit."""
+    xyz, classes = houses.points()
+    x, y = houses.PLACES["EPSG:2154"]
+    roofs = np.column_stack([np.add(xyz, [x, y, 0]), classes])[classes == 6]
+    for floor_m in (0.0, 30.0):
+        terrain = houses.write_terrain(tmp_path / "t.tif", (houses.heights_m() - floor_m).astype(np.float32))
+        with p2wss.reconstruct(roofs, houses.footprints(), terrain=terrain, progress=False) as scene:
+            volume_m3 = [each.mesh.volume for each in scene.values()]
+        assert volume_m3 == pytest.approx(
+            [houses.VOLUME_M3["gable"] + 96 * floor_m, 600 + 100 * floor_m], rel=0.03
+        )
+    assert "no ground is seen" not in caplog.text
+    with p2wss.reconstruct(roofs, houses.footprints(), progress=False) as scene:
+        assert {each.attributes["ground_source"] for each in scene.values()} == {"own-points"}
+    assert (
+        "no ground is seen around 2 of 2 buildings" in caplog.text and "; terrain= states it" in caplog.text
+    )
+
+
 @pytest.mark.parametrize("kind", ["file", "table", "country", "none"])
 @pytest.mark.parametrize("crs", ["EPSG:2154", "EPSG:3857"])
 def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(

@@ -17,7 +17,7 @@ from p2wss.fit.points import quantile
 from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
-AROUND, TERRAIN, LOWEST, STOREY = "around", "terrain", "lowest-points", "storey"
+AROUND, TERRAIN, LOWEST, OWN, STOREY = "around", "terrain", "lowest-points", "own-points", "storey"
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
 
     The ground around a footprint is not that of the building if the points on its roof are lower: then the ground is
     the terrain, that of the lowest points around which are below the roof, or a storey below the roof, the first that
-    is below it.
+    is below it. Where no ground is seen around, it is the terrain, or else the lowest of the building's own points.
     """
     count = len(cropped.ground_z_m)
     z_m, sd_m = cropped.ground_z_m.copy(), np.full(count, np.nan)
@@ -90,13 +90,13 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
             # without it, they count only from a greater height on
             lowest_m = MIN_HEIGHT_M if roof is own else RULES.lowest_roof_m
             highest_z[p] = low_z + (RULES.lowest_roof_m if may_be_ground else -lowest_m)
-        if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p]):
+        if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p] or cropped.is_foot[p]):
             corner = slice(polygons.vertex_offset[p], polygons.vertex_offset[p + 1])
             height_m = terrain.interpolated(*polygons.xy_m[corner].T)
             terrain_z[p] = np.nanmean(height_m) if np.isfinite(height_m).any() else np.nan
     is_empty = (np.diff(cropped.offset) == 0) & np.isfinite(terrain_z)
     z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, RULES.terrain_sd_m
-    too_high = np.flatnonzero(z_m > highest_z)
+    too_high = np.flatnonzero((z_m > highest_z) | cropped.is_foot)
     lowest = lowest_points(cloud) if len(too_high) else too_high
     around, _, offset = crop_points(
         cloud.x_m[lowest], cloud.y_m[lowest], polygon_arrays.take(polygons, too_high), LOWEST_RINGS_M[0]
@@ -106,10 +106,11 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
         low = low[cloud.z_m[low] < highest_z[p]]
         if terrain_z[p] < highest_z[p]:
             z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, RULES.terrain_sd_m
-        elif len(low):
+        elif len(low) and z_m[p] > highest_z[p]:
             z_m[p] = min(low_height(cloud, low, polygons.rings(p)[0]), highest_z[p])
             source[p], sd_m[p] = LOWEST, np.std(cloud.z_m[low])
         else:
-            z_m[p] = highest_z[p] - RULES.storey_m + RULES.lowest_roof_m
-            source[p], sd_m[p] = STOREY, RULES.storey_sd_m
+            if z_m[p] > highest_z[p]:
+                z_m[p] = highest_z[p] - RULES.storey_m + RULES.lowest_roof_m
+            source[p], sd_m[p] = OWN if cropped.is_foot[p] else STOREY, RULES.storey_sd_m
     return Grounds(z_m, source, sd_m)

@@ -112,7 +112,7 @@ def sample_of(
     for some in [every] if points.count(boxes) <= RULES.together else every[:, None]:
         cloud = points.near(boxes[some], adds_classes=False)
         cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes[some]))
-        values[0, some] = cropped.ground_z_m
+        values[0, some] = np.where(cropped.is_foot, np.nan, cropped.ground_z_m)
         ground_m = np.array([cloud.x_m, cloud.y_m, cloud.z_m])[:, cloud.classification == GROUND_CLASS]
         for i, k in enumerate(some.tolist()):
             own = slice(cropped.offset[i], cropped.offset[i + 1])
