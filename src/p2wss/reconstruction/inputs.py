@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -16,7 +17,7 @@ import shapely
 
 from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
-from p2wss.config import Config
+from p2wss.config import Config, Reconstruct
 from p2wss.data.crs import (
     MetricCrs,
     check_crs,
@@ -166,20 +167,13 @@ def check_inputs(
         raise InputError(f"{headers[0].path}: has no points")
     raster = None
     if terrain is not None:
-        unit = config.reconstruct.terrain_unit
-
-        def of_terrain(terrain_crs: pyproj.CRS) -> Iterator[Bounds]:
-            margin_m = config.reconstruct.terrain_margin_m + _GROUND_M
-            layer = config.reconstruct.footprint_layer
-            for window in _windows(footprints, footprints_crs or source, layer, headers, metric):
-                yield _transformed(grown(window, margin_m), metric.crs, terrain_crs)
-
+        windows = partial(_windows, footprints, footprints_crs or source, headers, metric, config.reconstruct)
         heights, heights_crs = read_terrain(
-            terrain, metric.source.to_wkt(), unit, metric.unstated_m, of_terrain
+            terrain, metric.source.to_wkt(), config.reconstruct.terrain_unit, metric.unstated_m, windows
         )
         raster = (metric.terrain(heights, heights_crs, terrain), Path(terrain))
-        windows = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
-        if windows and not any(raster[0].cut(window).height_m.size for window in windows):
+        boxes = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
+        if boxes and not any(raster[0].cut(box).height_m.size for box in boxes):
             raise InputError(
                 f"{terrain}: is in {heights_crs.name}, and has no cell at {names[0]}: is that its CRS?"
             )
@@ -192,36 +186,34 @@ def check_inputs(
 def _windows(
     footprints: Path | gpd.GeoDataFrame | None,
     crs: pyproj.CRS,
-    layer: str,
     headers: Sequence[CloudHeader],
     metric: MetricCrs,
-) -> Iterator[Bounds]:
-    """The window of the footprints in the CRS of the run, then the part of it that the clouds cover. crs: of the
-    footprints."""
-    boxes = [metric.bounds_of_run(each.bounds) for each in headers if each.bounds is not None]
-    window: Bounds | None = None
-    if footprints is not None:
-        if isinstance(footprints, Path):
-            bounds = vector_files.layer_info(footprints, layer, with_bounds=True)["total_bounds"]
-        else:
-            bounds = footprints.total_bounds
-        if bounds is not None and np.isfinite(bounds).all():
-            yield (window := _transformed(bounds, crs, metric.crs))
-    if boxes:
-        low, high = np.min(boxes, axis=0)[:2], np.max(boxes, axis=0)[2:]
-        if window is not None:
-            low, high = np.maximum(low, window[:2]), np.minimum(high, window[2:])
-        if (low <= high).all():
-            yield (*low.tolist(), *high.tolist())
-
-
-def _transformed(bounds: Bounds, source: pyproj.CRS, crs: pyproj.CRS) -> Bounds:
-    """A window in ``source`` in the horizontal part of another CRS."""
-    if same_crs(source, crs):
-        return bounds
-    transformer = pyproj.Transformer.from_crs(horizontal(source), horizontal(crs), always_xy=True)
-    low_x, low_y, high_x, high_y = transformer.transform_bounds(*bounds)
-    return low_x, low_y, high_x, high_y
+    settings: Reconstruct,
+    terrain_crs: pyproj.CRS,
+) -> list[Bounds]:
+    """Where heights of a terrain are needed, in its CRS: around the footprints, and around the part of them that the
+    clouds cover. crs: of the footprints."""
+    to_run, to_terrain = (
+        pyproj.Transformer.from_crs(horizontal(source), horizontal(target), always_xy=True)
+        for source, target in ((crs, metric.crs), (metric.crs, terrain_crs))
+    )
+    everywhere = (-np.inf, -np.inf, np.inf, np.inf)
+    boxes = [everywhere if each.bounds is None else metric.bounds_of_run(each.bounds) for each in headers]
+    low, high = np.min(boxes, axis=0)[:2], np.max(boxes, axis=0)[2:]
+    bounds, windows = None, []
+    if isinstance(footprints, Path):
+        bounds = vector_files.layer_info(footprints, settings.footprint_layer, with_bounds=True)[
+            "total_bounds"
+        ]
+    elif footprints is not None:
+        bounds = footprints.total_bounds
+    if bounds is not None and np.isfinite(bounds).all():
+        windows.append(to_run.transform_bounds(*bounds))
+        low, high = np.maximum(low, windows[0][:2]), np.minimum(high, windows[0][2:])
+    if (low <= high).all() and np.isfinite([low, high]).all():
+        windows.append((*low.tolist(), *high.tolist()))
+    margin_m = settings.terrain_margin_m + _GROUND_M
+    return [to_terrain.transform_bounds(*grown(each, margin_m)) for each in windows]
 
 
 def _metric(
