@@ -231,6 +231,8 @@ def without_impossible(terrain: Terrain, path: str | Path) -> Terrain:
     values, counts = np.unique(terrain.height_m[wrong | lone], return_counts=True)
     number, most = int(counts.sum()), values[counts.argmax()]
     text = "warning: %s: no ground is at the heights of %d of its cells, such as %g m; they count as without data"
+    if 2 * number > np.count_nonzero(~np.isnan(terrain.height_m)):
+        text += " (--terrain-unit states their unit, if it is another)"
     log.warning(text, path, number, most)
     return replace(terrain, height_m=np.where(lone, np.float32(np.nan), height_m))
 

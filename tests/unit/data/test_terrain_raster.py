@@ -133,6 +133,19 @@ def test_cells_that_cannot_be_ground_are_holes(
     assert np.isnan(read.height_m[:, :23]).all()
     np.testing.assert_array_equal(read.height_m[:, 23:], values[:, 23:])
     assert caplog.text.count("no ground is at the heights of 1380 of its cells") == 1
+    assert "--terrain-unit" not in caplog.text
+
+
+def test_a_raster_in_centimetres_of_which_most_is_no_height_names_the_remedy(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = houses.write_terrain(tmp_path / "t.tif", (houses.heights_m() * 100).astype(np.float32))
+    assert np.isnan(read_terrain(path)[0].height_m).mean() > 0.5
+    assert (
+        "of its cells" in caplog.text
+        and "(--terrain-unit states their unit, if it is another)" in caplog.text
+    )
+    np.testing.assert_allclose(read_terrain(path, unit="cm")[0].height_m, houses.heights_m(), atol=1e-3)
 
 
 def test_an_asc_without_nodata_value(tmp_path: Path) -> None:

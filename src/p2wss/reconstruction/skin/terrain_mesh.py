@@ -59,7 +59,7 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
         vertices = extended
     top_m = np.column_stack([x_m[column], y_m[row], height_m[row, column]])
     body = _closed(top_m, upper, min(float(height_m.min()), lowest_m) - _BELOW_M)
-    return replace(body, attributes={"spacing_m": spacing_m})
+    return replace(body, attributes={"spacing_m": round(spacing_m, 3)})
 
 
 def lowered_into(bodies: Sequence[Body], terrain: Terrain) -> list[Body]:
