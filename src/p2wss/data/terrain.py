@@ -170,7 +170,7 @@ def read_terrain(
                     break
             if not part.height_m.size:
                 raise InputError(
-                    f"{path}: is in {terrain_crs.name}, and has no cell at the footprints: is that its CRS?"
+                    f"{path}: is in {terrain_crs.name}, and has no cell at the place of the run: is that its CRS?"
                 )
             rows, columns = part.height_m.shape
             check_size(raster, path, (rows, columns))
@@ -185,7 +185,7 @@ def read_terrain(
                 masked=True,
             ).filled(np.nan)
     if part is not all_cells:
-        text = "note: %s: of its %d x %d cells, the %d x %d around the footprints are read"
+        text = "note: %s: of its %d x %d cells, the %d x %d around the place of the run are read"
         log.info(text, path, *all_cells.height_m.shape[::-1], columns, rows)
     if stated is None:
         log.info("note: %s does not state its CRS; assuming %s", path, terrain_crs.name)

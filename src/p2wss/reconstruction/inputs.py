@@ -191,27 +191,24 @@ def _windows(
     settings: Reconstruct,
     terrain_crs: pyproj.CRS,
 ) -> list[Bounds]:
-    """Where heights of a terrain are needed, in its CRS: around the footprints, and around the part of them that the
-    clouds cover. crs: of the footprints."""
+    """Where heights of a terrain are needed, in its CRS: around the footprints, and around the clouds. crs: of the
+    footprints."""
     to_run, to_terrain = (
         pyproj.Transformer.from_crs(horizontal(source), horizontal(target), always_xy=True)
         for source, target in ((crs, metric.crs), (metric.crs, terrain_crs))
     )
     everywhere = (-np.inf, -np.inf, np.inf, np.inf)
     boxes = [everywhere if each.bounds is None else metric.bounds_of_run(each.bounds) for each in headers]
-    low, high = np.min(boxes, axis=0)[:2], np.max(boxes, axis=0)[2:]
-    bounds, windows = None, []
+    clouds, bounds = (*np.min(boxes, axis=0)[:2].tolist(), *np.max(boxes, axis=0)[2:].tolist()), None
     if isinstance(footprints, Path):
         bounds = vector_files.layer_info(footprints, settings.footprint_layer, with_bounds=True)[
             "total_bounds"
         ]
     elif footprints is not None:
         bounds = footprints.total_bounds
-    if bounds is not None and np.isfinite(bounds).all():
-        windows.append(to_run.transform_bounds(*bounds))
-        low, high = np.maximum(low, windows[0][:2]), np.minimum(high, windows[0][2:])
-    if (low <= high).all() and np.isfinite([low, high]).all():
-        windows.append((*low.tolist(), *high.tolist()))
+    windows = [clouds] if bounds is None else [to_run.transform_bounds(*bounds), clouds]
+    # that of footprints of the world may be anywhere in a projection
+    windows = [each for each in windows if np.isfinite(each).all() and are_near(each, clouds, 0)]
     margin_m = settings.terrain_margin_m + _GROUND_M
     return [to_terrain.transform_bounds(*grown(each, margin_m)) for each in windows]
 

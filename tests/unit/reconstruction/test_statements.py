@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import control_houses as houses
+import geopandas as gpd
 import laspy
 import numpy as np
 import pandas as pd
@@ -333,7 +334,7 @@ def test_of_roofs_alone_the_terrain_is_the_ground(tmp_path: Path, caplog: pytest
     )
 
 
-@pytest.mark.parametrize("kind", ["file", "table", "country", "none"])
+@pytest.mark.parametrize("kind", ["file", "table", "country", "world", "none"])
 @pytest.mark.parametrize("crs", ["EPSG:2154", "EPSG:3857"])
 def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, crs: str
@@ -343,8 +344,15 @@ def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(
     if kind == "country":
         far = footprints.set_geometry(footprints.translate(15_000, 15_000)).assign(id=["a", "b"])
         footprints = pd.concat([footprints, far])
+    given = footprints
+    if kind == "world":
+        poles = {
+            "id": ["a", "b"],
+            "geometry": [shapely.box(-180, -90, -179, -89), shapely.box(179, 89, 180, 90)],
+        }
+        given = pd.concat([footprints.to_crs(4326), gpd.GeoDataFrame(poles, crs=4326)])
     path = tmp_path / "f.gpkg"
-    footprints.to_file(path)
+    given.to_file(path)
     x, y = houses.PLACES["EPSG:2154"]
     profile = {"width": 40_000, "height": 40_000, "count": 1, "dtype": "float32", "crs": "EPSG:2154"}
     corner = rasterio.transform.from_origin(x - 20_000, y + 20_000, 1, 1)
@@ -353,11 +361,11 @@ def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(
     ) as raster:
         heights_m = np.tile(houses.GROUND_M + 0.01 * np.arange(600, dtype=np.float32), (600, 1))
         raster.write(heights_m, 1, window=((19_700, 20_300), (19_700, 20_300)))
-    given = {"file": path, "country": path, "table": footprints, "none": None}[kind]
+    given = {"table": footprints, "none": None}.get(kind, path)
     config = as_config(None)
     with caplog.at_level("INFO"):
         inputs = check_inputs(cloud, given, config, terrain=tmp_path / "t.tif")
-    assert re.search(r"of its 40000 x 40000 cells, the \d+ x \d+ around the footprints", caplog.text)
+    assert re.search(r"of its 40000 x 40000 cells, the \d+ x \d+ around the place of the run", caplog.text)
     assert inputs.terrain is not None and inputs.terrain[0].height_m.size < 600**2
     at_x, at_y = np.add([[-20.5, -4.0, 27.5], [-14.0, 8.0, 20.5]], [[x], [y]])
     if crs != "EPSG:2154":
@@ -366,9 +374,10 @@ def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(
         )
     expected_m = houses.GROUND_M + 0.01 * (np.array([-20.5, -4.0, 27.5]) + 299.5)
     np.testing.assert_allclose(inputs.terrain[0].interpolated(at_x, at_y), expected_m, atol=1e-2)
-    elsewhere = footprints.set_geometry(footprints.translate(60_000, 0))
-    with pytest.raises(InputError, match=r"t\.tif: .* has no cell at the footprints: is that its CRS"):
-        check_inputs(cloud, elsewhere, config, terrain=tmp_path / "t.tif")
+    with rasterio.open(tmp_path / "t.tif", "r+") as raster:
+        raster.transform = rasterio.transform.from_origin(x + 20_000, y + 20_000, 1, 1)
+    with pytest.raises(InputError, match=r"t\.tif: .* has no cell at the place of the run: is that its CRS"):
+        check_inputs(cloud, given, config, terrain=tmp_path / "t.tif")
 
 
 def test_a_cloud_and_a_terrain_in_mercator(tmp_path: Path) -> None:
