@@ -18,7 +18,9 @@ from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import Skin, skins
 from p2wss.reconstruction.skin.common_roofs import MAX_STEP_M
-from p2wss.reconstruction.skin.solids import MAX_LOWERING_M
+from p2wss.reconstruction.skin.party_walls import without_party_walls
+from p2wss.reconstruction.skin.solids import MAX_LOWERING_M, faces_of
+from p2wss.reconstruction.skin.triangles import sheets, triangulated
 from p2wss.reconstruction.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
 
@@ -119,9 +121,29 @@ def test_gables_of_different_pitch_cross() -> None:
     )
 
 
-def smallest_deg(skin: Skin) -> float:
-    corner = skin.mesh.vertex_m[skin.mesh.triangle]
-    return float(np.degrees(trimesh.triangles.angles(corner).min()))
+def test_ridges_that_nearly_meet() -> None:
+    """Two gables 1 mm behind or before each other, whose ridges are 0 to 9 mm beside, and up to 12 mm above, each
+    other, without planes that move."""
+    offsets_m = np.linspace(0, 0.009, 4), [9.999, 10.001], np.linspace(-0.012, 0.012, 17)
+    for beside_m, front_m, above_m in itertools.product(*offsets_m):
+        houses = [
+            gable("a", (0, 0, 8, 10), 5, 45),
+            gable("b", (beside_m, front_m, 8 + beside_m, 18), 5 + above_m, 45),
+        ]
+        point, faces = without_party_walls(*faces_of([house.mesh for house in houses]))
+        mesh = sheets(triangulated(point, faces))
+        assert_closed(Skin(("a", "b"), mesh, mesh.label))
+        assert mesh.volume_m3 == pytest.approx(united(houses).volume(), rel=1e-3)
+
+
+def test_a_house_in_the_corner_of_another() -> None:
+    """At the corner there are two floors and two roofs alone, each on one plane, and no wall."""
+    corner = shapely.box(5, 5, 12, 11)
+    (skin,) = exact([solid("l", shapely.box(0, 0, 12, 11) - corner, 6), solid("in", corner, 6)])
+    at_corner = (np.abs(skin.mesh.vertex_m[:, :2] - 5) < 1e-9).all(axis=1)
+    assert sorted(skin.mesh.vertex_m[at_corner, 2]) == [0, 6]
+    roof = skin.mesh.area_m2[(skin.mesh.kind == FaceKind.FLAT) & (skin.building == 0)]
+    assert roof.sum() == pytest.approx(corner.area)
 
 
 @pytest.mark.parametrize("pitch_deg", [40.0, 40.4])

@@ -1,13 +1,13 @@
 """One closed skin for each block of buildings that touch: party walls vanish where there are buildings on both sides.
 
-The walls that lie on each other are cut at common points and cancel out; everything else keeps its points, in float64.
+Walls that face each other cancel out along their line; everything else keeps its points, in float64.
 So the skin has no gap and no sliver that the buildings do not have, and every face keeps its building and kind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,16 +15,13 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
 from p2wss.reconstruction.running.failures import note, surviving
 from p2wss.reconstruction.skin.common_roofs import with_common_roofs
-from p2wss.reconstruction.skin.noding import node
-from p2wss.reconstruction.skin.party_walls import NotJoined, without_common
+from p2wss.reconstruction.skin.party_walls import NotJoined, without_party_walls
 from p2wss.reconstruction.skin.solids import (
     MAX_LOWERING_M,
     Face,
-    area_vectors,
     faces_of,
     on_common_floors,
     opposite_walls,
-    weld,
 )
 from p2wss.reconstruction.skin.triangles import sheets, triangulated
 from p2wss.skeleton.groups import groups
@@ -90,29 +87,11 @@ def _joined(solids: Mapping[str, Mesh], origin: np.ndarray) -> list[Skin]:
     failure = None
     if len(solids) > 1:
         try:
-            joined = with_common_roofs(list(solids.values()))
-            return [_skin(list(solids), *_block(joined), origin)]
+            parts = without_party_walls(*faces_of(with_common_roofs(list(solids.values()))))
+            return [_skin(list(solids), *parts, origin)]
         except NotJoined as error:
             failure = str(error)
     return [_skin([name], *faces_of([mesh]), origin, failure) for name, mesh in solids.items()]
-
-
-def _block(solids: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
-    """Points and faces of the skin around solids that touch."""
-    point, faces = faces_of(solids)
-    pairs = opposite_walls(point, faces)
-    walls = np.unique(pairs).tolist()
-    point = weld(point, faces, walls)
-    point = node(point, faces, walls)
-    walls = [wall for wall in walls if faces[wall].rings]
-    plane_of, areas = groups(len(faces), pairs)[walls], area_vectors(point, [faces[wall] for wall in walls])
-    remaining: list[Face] = []
-    for plane in dict.fromkeys(plane_of.tolist()):
-        here = np.flatnonzero(plane_of == plane)
-        remaining += without_common(point, faces, [walls[k] for k in here.tolist()], areas[here])
-    apart = set(walls)
-    remaining += [face for number, face in enumerate(faces) if number not in apart and face.rings]
-    return point, remaining
 
 
 def _skin(
@@ -122,7 +101,6 @@ def _skin(
     origin: np.ndarray,
     failure: str | None = None,
 ) -> Skin:
-    mesh = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
-    exact = with_exact_faces(sheets(mesh), walls_stay=len(building_ids) == 1)
+    exact = with_exact_faces(sheets(triangulated(point, faces)), walls_stay=len(building_ids) == 1)
     building = np.array([face.building for face in faces], np.int32)[exact.label]
     return Skin(tuple(building_ids), exact.translated(origin), building, failure)

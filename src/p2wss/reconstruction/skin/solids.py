@@ -9,15 +9,10 @@ import numpy as np
 import shapely
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import NEXT
-from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind, next_in_ring
 
 # points this near, and points this near to a wall's line, are one place
 TOLERANCE_M = 2e-3
-# points over one place of the plan that are no further apart in height are one: of two that are nearer, the upper one
-# would be within the tolerance of a roof's edge that rises from the lower one, which would then begin upright
-LEVEL_M = 1e-2
 # floors of touching buildings are lowered by at most this to be level with each other
 MAX_LOWERING_M = 0.5
 _UPRIGHT_NZ = 0.05
@@ -34,7 +29,6 @@ class Face:
 
     building: int
     kind: int
-    label: int
     rings: list[list[int]]
     triangles: np.ndarray | None = None
 
@@ -48,7 +42,7 @@ def faces_of(meshes: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
         triangle, last = mesh.triangle[order].astype(int) + first, np.cumsum(np.bincount(mesh.face)).tolist()
         for surface, start, end in zip(mesh.surfaces, [0, *last], last, strict=False):
             rings = [(ring + first).tolist() for ring in surface.rings]
-            faces.append(Face(number, surface.kind, surface.label, rings, triangle[start:end]))
+            faces.append(Face(number, surface.kind, rings, triangle[start:end]))
         first += len(mesh.vertex_m)
     return np.concatenate([mesh.vertex_m for mesh in meshes]), faces
 
@@ -134,56 +128,3 @@ def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     near = [np.abs(apart + (place - start) * slope) <= TOLERANCE_M for place in (low, high)]
     facing = (high - low > 2 * TOLERANCE_M) & near[0] & near[1]
     return np.column_stack([wall[a[facing]], wall[b[facing]]])
-
-
-def weld(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> np.ndarray:
-    """Points of ``walls`` at one place become one, and those over one place of the plan get its exact x and y.
-
-    Returns the points; the faces' rings name the first of each set. Faces whose rings lose a point lose their
-    triangles.
-    """
-    point = point.copy()
-    used = np.unique(np.array([v for wall in walls for ring in faces[wall].rings for v in ring], int))
-    # the lexicographically smallest stands for all, so that the order of the buildings has no effect
-    used = used[np.lexsort(point[used].T[::-1])]
-    plan = np.asarray(shapely.points(point[used, :2]), object)
-    near = shapely.STRtree(plan).query(plan, predicate="dwithin", distance=TOLERANCE_M)
-    place = groups(len(used), near.T)
-    _, first = np.unique(place, return_index=True)
-    point[used, :2] = point[used[first[place]], :2]
-    order = np.lexsort([point[used, 2], place])
-    z = point[used[order], 2]
-    is_new = np.ones(len(order), bool)
-    is_new[1:] = (np.diff(place[order]) != 0) | (np.diff(z) > LEVEL_M)
-    representative = np.arange(len(point))
-    representative[used[order]] = used[order][np.flatnonzero(is_new)[np.cumsum(is_new) - 1]]
-    for face in faces:
-        rings = [tidy(representative[ring].tolist()) for ring in face.rings]
-        changed = list(map(len, rings)) != list(map(len, face.rings))
-        if face.triangles is not None:
-            corner = face.triangles = representative[face.triangles]
-            if changed or (corner == corner[:, NEXT]).any():
-                face.triangles = None
-        face.rings = [ring for ring in rings if ring]
-    return point
-
-
-def tidy(ring: list[int]) -> list[int]:
-    """The ring without repeated points and without spikes; empty if nothing is left.
-
-    >>> tidy([1, 1, 2, 3, 2, 4])
-    [1, 2, 4]
-    """
-    result: list[int] = []
-    for vertex in ring:
-        if result and result[-1] == vertex:
-            continue
-        if len(result) > 1 and result[-2] == vertex:
-            result.pop()
-        else:
-            result.append(vertex)
-    while len(result) > 1 and result[0] == result[-1]:
-        result.pop()
-        if len(result) > 2 and result[1] == result[-1]:
-            result = result[1:]
-    return result if len(result) > 2 else []

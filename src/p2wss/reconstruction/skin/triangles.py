@@ -20,7 +20,7 @@ _AREA_M2 = 1e-3
 
 
 def triangulated(point: np.ndarray, faces: Sequence[Face]) -> Mesh:
-    """The mesh of faces, with their labels.
+    """The mesh of faces, labelled by their numbers.
 
     Faces without triangles get those of a constrained Delaunay triangulation, with every point of the rings as a
     corner. Raises :class:`NotJoined` if a face is no polygon.
@@ -37,11 +37,8 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> Mesh:
         for k, face in enumerate(pending):
             face.triangles = triangle[number == k]
     parts = [np.zeros((0, 3), int) if face.triangles is None else face.triangles for face in faces]
-    sizes = [len(part) for part in parts]
-    kind, label = (
-        np.repeat(np.array([getattr(face, name) for face in faces], dtype), sizes)
-        for name, dtype in (("kind", np.uint8), ("label", np.int32))
-    )
+    label = np.repeat(np.arange(len(faces), dtype=np.int32), [len(part) for part in parts])
+    kind = np.array([face.kind for face in faces], np.uint8)[label]
     return Mesh(point, np.concatenate(parts).astype(np.int32), kind, label)
 
 
