@@ -133,13 +133,21 @@ def measure_overlap(scene: Scene, figures: Figures) -> None:
     volume = [(solids[i] ^ solids[j]).volume() for i, j in scene.pairs.tolist()]
     figures.row("overlap", {"pairs above 1 litre": int((np.array(volume) > 1e-3).sum())})
     figures.at_most("overlap in m3", float(np.sum(volume)), 0.05)
-    off = [off_walls_m(row) for row in scene.reconstructions]
+    # where the points show open ground in a footprint, walls are around that
+    whole = [
+        row for row, ground in zip(scene.reconstructions, scene.ground, strict=True) if is_whole(row, ground)
+    ]
+    figures.row("without open ground", {"buildings": len(whole), "of": len(scene.reconstructions)})
+    off = [off_walls_m(row) for row in whole]
     figures.at_most("distance of walls from their footprint in mm", 1e3 * max(off), 0.1)
     figures.at_most(
-        "corners that are not those of the footprint to the bit",
-        sum(map(other_corners, scene.reconstructions)),
-        0,
+        "corners that are not those of the footprint to the bit", sum(map(other_corners, whole)), 0
     )
+
+
+def is_whole(row: Reconstruction, ground: shapely.Geometry) -> bool:
+    """Whether the floor is all of the footprint but for less than a thousandth."""
+    return bool(shapely.area(ground) > 0.999 * shapely.Polygon(row.rings[0], row.rings[1:]).area)
 
 
 def off_walls_m(row: Reconstruction) -> float:
@@ -151,9 +159,15 @@ def off_walls_m(row: Reconstruction) -> float:
 
 
 def other_corners(row: Reconstruction) -> int:
-    """The number of corners of the footprint at which the mesh has no vertex."""
-    present = set(map(tuple, row.mesh.vertex_m[:, :2].tolist()))
-    return sum(tuple(corner) not in present for ring in row.rings for corner in ring.tolist())
+    """The number of corners of the footprint at which the mesh has no vertex, but for those within straight edges."""
+    present, result = set(map(tuple, row.mesh.vertex_m[:, :2].tolist())), 0
+    for ring in row.rings:
+        for before, corner, after in zip(
+            np.roll(ring, 1, axis=0), ring, np.roll(ring, -1, axis=0), strict=True
+        ):
+            off_m = shapely.distance(shapely.Point(corner), shapely.LineString([before, after]))
+            result += tuple(corner.tolist()) not in present and off_m > TOUCH_M
+    return result
 
 
 def measure_cleaning(scene: Scene, figures: Figures) -> None:
