@@ -140,6 +140,8 @@ def _without_edge(
     vertex_m[number] = changed.vertex_m
     parts = (mesh.triangle, number[changed.triangle]), (mesh.kind, changed.kind), (mesh.label, changed.label)
     result = Mesh(vertex_m, *(np.concatenate([old[~is_near], new]).astype(old.dtype) for old, new in parts))
+    # of a large mesh, nothing else takes as long
+    vars(result)["edge_m"] = np.concatenate([mesh.edge_m[~is_near], changed.edge_m])
     if _is_thin(changed).sum() > num_thin:
         # the other end of a step that went, or a vertex that a wall now passes through
         result = changed = _without_short_edges(result, _NO_HEIGHT_M, walls_stay, set())
@@ -173,8 +175,9 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
     """The mesh whose faces are divided by constrained Delaunay triangulation, without those vertices within straight
     edges that do not stay, bool (v,); the mesh itself if a face is no valid polygon, or has a vertex within, or if two
     faces in one place, as of a wall without thickness, share a diagonal."""
-    first = first_of_faces(mesh.face)
-    rings = [[ring[stays[ring]] for ring in surface.rings] for surface in mesh.surfaces]
+    first, rings = first_of_faces(mesh.face), [surface.rings for surface in mesh.surfaces]
+    if not stays.all():
+        rings = [[ring[stays[ring]] for ring in face] for face in rings]
     if min(len(ring) for face in rings for ring in face) < 3:
         return mesh
     triangle, face = triangulated_in_space(mesh.vertex_m, rings, mesh.planes.normal[mesh.number[first]])
