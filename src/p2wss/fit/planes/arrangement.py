@@ -274,10 +274,12 @@ def _cells_below(xy_m: np.ndarray, end_m: np.ndarray, pair: np.ndarray) -> np.nd
     # the sides of each column of a grid, by their upper ends
     from_x, num_columns = left.min(), int(len(pair) ** 0.5) + 1
     width_m = (right.max() - from_x) / num_columns * (1 + 1e-9) + GRID_M
-    begin = np.zeros(num_columns + 1, np.int64)
+    begin, tallest_m = np.zeros(num_columns + 1, np.int64), np.zeros(num_columns)
     for k in range(len(pair)):
+        height_m = abs(end_m[k, 0, 1] - end_m[k, 1, 1])
         for column in range(int((left[k] - from_x) / width_m), int((right[k] - from_x) / width_m) + 1):
             begin[column + 1] += 1
+            tallest_m[column] = max(tallest_m[column], height_m)
     begin = np.cumsum(begin)
     free, member = begin.copy(), np.empty(begin[-1], np.int64)
     for k in np.argsort(top, kind="mergesort"):
@@ -293,6 +295,8 @@ def _cells_below(xy_m: np.ndarray, end_m: np.ndarray, pair: np.ndarray) -> np.nd
             continue
         start = begin[column] + np.searchsorted(upper[begin[column] : begin[column + 1]], xy_m[i, 1])
         for k in member[start : begin[column + 1]]:
+            if top[k] - tallest_m[column] > xy_m[i, 1] + nearest_m:
+                break
             (start_x, start_y), (to_x, to_y) = end_m[k]
             if (start_x < x) != (to_x < x):
                 above_m = start_y + (to_y - start_y) * (x - start_x) / (to_x - start_x) - xy_m[i, 1]
