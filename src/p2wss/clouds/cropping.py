@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, entry, inlined, inner
-from p2wss.skeleton.ordering import median
+from p2wss.skeleton.ordering import median, sorted_by
 from p2wss.skeleton.rings import crosses, is_inside
 from p2wss.skeleton.types import Polygons
 
@@ -33,7 +33,7 @@ class _Grid(NamedTuple):
 
 class _Sorted(NamedTuple):
     """Points by cell, row by row: the cell numbered c has ``start[c - 1]:start[c]``. number: int32 (rows, columns), of
-    the cells that a polygon needs, from 1 on. order: int32, their indices. x, y: float64."""
+    the cells that a polygon needs, from 1 on. order: their indices. x, y: float64."""
 
     number: np.ndarray
     start: np.ndarray
@@ -153,27 +153,15 @@ def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, a
             if number[row, column]:
                 num_cells += 1
                 number[row, column] = num_cells
-    cell = np.empty(len(x), np.int32)
-    start = np.zeros(num_cells + 1, np.int64)
+    cell = np.full(len(x), -1)
     for i in range(len(x)):
-        cell[i] = -1
         if len(among) and not among[i]:
             continue
         u, v = (x[i] - grid.low_x_m) / grid.cell_m, (y[i] - grid.low_y_m) / grid.cell_m
         if 0 <= u < columns and 0 <= v < rows and number[int(v), int(u)]:
             cell[i] = number[int(v), int(u)] - 1
-            start[cell[i] + 1] += 1
-    for c in range(num_cells):
-        start[c + 1] += start[c]
-    order = np.empty(start[-1], np.int32)
-    x_sorted, y_sorted = np.empty(start[-1]), np.empty(start[-1])
-    free = start[:-1].copy()
-    for i in range(len(x)):
-        if cell[i] >= 0:
-            k = free[cell[i]]
-            free[cell[i]] += 1
-            order[k], x_sorted[k], y_sorted[k] = i, x[i], y[i]
-    return _Sorted(number, start, order, x_sorted, y_sorted)
+    start, order = sorted_by(cell, num_cells)
+    return _Sorted(number, start, order, x[order], y[order])
 
 
 @entry

@@ -9,6 +9,7 @@ import numpy as np
 from p2wss.mesh.mesh import Mesh
 from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped
+from p2wss.skeleton.ordering import sorted_by
 from p2wss.skeleton.types import FaceKind, distinct, writable
 
 # what moves by less than this stays, to the bit
@@ -447,14 +448,8 @@ def _solved(pair: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarra
     would be near to each other in that order.
     """
     num = len(right)
-    begin = np.zeros(num + 1, np.int64)
-    for i in pair[:, 0]:
-        begin[i + 1] += 1
-    begin = np.cumsum(begin)
-    beside, end = np.empty(len(pair), np.int64), begin[:-1].copy()
-    for k in range(len(pair)):
-        beside[end[pair[k, 0]]] = pair[k, 1]
-        end[pair[k, 0]] += 1
+    begin, at = sorted_by(pair[:, 0].copy(), num)
+    beside = pair[:, 1][at]
     # from each plane that none before it meets to those that it meets, and so on
     order, place, count = np.empty(num, np.int64), np.full(num, -1), 0
     for is_last in range(2):

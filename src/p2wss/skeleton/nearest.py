@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.ordering import sorted_by
 from p2wss.skeleton.types import writable
 
 
@@ -40,15 +41,10 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
         1e-9,
     )
     num_columns, num_rows = int(extent_m[0] / cell_m) + 1, int(extent_m[1] / cell_m) + 1
-    cell, begin = np.empty(len(point_m), np.int64), np.zeros(num_columns * num_rows + 1, np.int64)
+    cell = np.empty(len(point_m), np.int64)
     for t in range(len(point_m)):
         cell[t] = int(local_m[t, 1] / cell_m) * num_columns + int(local_m[t, 0] / cell_m)
-        begin[cell[t] + 1] += 1
-    begin = np.cumsum(begin)
-    order, free = np.empty(len(point_m), np.int64), begin.copy()
-    for t in range(len(point_m)):
-        order[free[cell[t]]] = t
-        free[cell[t]] += 1
+    begin, order = sorted_by(cell, num_columns * num_rows)
     sorted_m = local_m[order]
     all_squared_m2 = np.full((len(place_m), count + 1), np.inf)
     all_numbers = np.zeros((len(place_m), count + 1), np.int64)

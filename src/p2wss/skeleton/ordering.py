@@ -50,13 +50,16 @@ def select(values: np.ndarray, count: int, place: int) -> float:
 
 @allocating
 def sorted_by(number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """(where the places of each number below ``size`` begin, (size + 1,); places, ascending)."""
-    first, result = np.zeros(size + 1, np.int64), np.empty(len(number), np.int64)
+    """(where the places of each number below ``size`` begin, int64 (size + 1,); places, ascending). number: int (n,),
+    negative for none."""
+    first = np.zeros(size + 1, np.int64)
     for each in number:
-        first[each + 1] += 1
+        if each >= 0:
+            first[each + 1] += 1
     first = np.cumsum(first)
-    free = first.copy()
+    free, result = first.copy(), np.empty(first[size], np.int64)
     for k, each in enumerate(number):
-        result[free[each]] = k
-        free[each] += 1
+        if each >= 0:
+            result[free[each]] = k
+            free[each] += 1
     return first, result

@@ -257,10 +257,7 @@ def _candidates_at(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(where those of each wanted square begin, planes): those seen within reach of it, the nearest first. seen_square,
     seen_plane: ascending squares in which planes are seen."""
-    begin = np.zeros(shape[0] * shape[1] + 1, np.int64)
-    for square in seen_square:
-        begin[square + 1] += 1
-    begin = np.cumsum(begin)
+    begin = np.searchsorted(seen_square, np.arange(shape[0] * shape[1] + 1))
     first, result, num = np.zeros(len(wanted) + 1, np.int64), np.empty(1024, np.int64), 0
     least_m, found = np.full(num_planes, np.inf), np.empty(num_planes, np.int64)
     for k, square in enumerate(wanted):

@@ -5,23 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, inner
-
-
-@allocating
-def members(group: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
-    """(where the members of each group begin, int64 (num + 1,); the members, group by group). group: int64 (m,), of
-    each member, negative for none."""
-    begin = np.zeros(num + 1, np.int64)
-    for each in group:
-        if each >= 0:
-            begin[each + 1] += 1
-    begin = np.cumsum(begin)
-    free, result = begin.copy(), np.empty(begin[num], np.int64)
-    for k, each in enumerate(group):
-        if each >= 0:
-            result[free[each]] = k
-            free[each] += 1
-    return begin, result
+from p2wss.skeleton.ordering import sorted_by
 
 
 @allocating
@@ -34,7 +18,7 @@ def rings_around(
     vertex_m: (v, 3). half: int64 (h, 2), vertices; a face is to their left. number: int64 (h,), of the face. axes: (f,
     2, 3), two unit vectors in each, counter-clockwise.
     """
-    begin, at = members(half[:, 0].copy(), len(vertex_m))
+    begin, at = sorted_by(half[:, 0].copy(), len(vertex_m))
     ring, of_face, area = np.empty(len(half), np.int64), np.empty(len(half), np.int64), np.empty(len(half))
     ring_size, num, num_rings = np.empty(len(half), np.int64), 0, 0
     # the way so far, and where in it a vertex is

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.fit.planes.ring_kernels import members, rings_around
+from p2wss.fit.planes.ring_kernels import rings_around
 from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
+from p2wss.skeleton.ordering import sorted_by
 
 # the number of the face outside the footprint, and of cells without a building
 OUTSIDE = -1
@@ -39,7 +40,7 @@ def straightened(
     for k in range(len(side)):
         if is_gone[k]:
             side[k] = -1
-    begin, at = members(side.ravel(), len(xy_m))
+    begin, at = sorted_by(side.ravel(), len(xy_m))
     at //= 2
     # each vertex that goes puts its neighbours there once more
     pending, num = np.empty(3 * len(xy_m) + 1, np.int64), ZERO
@@ -188,7 +189,7 @@ def _columns(
     """(vertices (v, 3), those over each place one after the other from below; of each end of each side, and each face
     beside it, the vertex, int64 (s, 2, 2))."""
     vertex_m, vertex, num = np.empty((4 * len(side), 3)), np.empty(4 * len(side), np.int64), 0
-    begin, at = members(side.ravel(), len(xy_m))
+    begin, at = sorted_by(side.ravel(), len(xy_m))
     height_m, number = np.empty(4 * len(side)), np.empty(4 * len(side), np.int64)
     order = np.empty(4 * len(side), np.int64)
     for place in range(len(xy_m)):
@@ -275,7 +276,7 @@ def _half_edges(
                     step[num_steps], step_wall[num_steps], is_up[num_steps] = v, wall[k, h], goes_up
                     num_steps += 1
     # within a whole wall, one way up and one down are none
-    begin, at = members(step[:num_steps], num_vertices)
+    begin, at = sorted_by(step[:num_steps], num_vertices)
     for v in range(num_vertices):
         for i in range(begin[v], begin[v + 1]):
             k = at[i]
