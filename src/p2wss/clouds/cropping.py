@@ -81,7 +81,7 @@ def crop_points(
             return _in_halves(x_m, y_m, polygons, buffer_m, among, is_far)
     columns, rows = (int(length / cell_m) + 1 for length in extent)
     grid = _Grid(float(low[0]), float(low[1]), cell_m, columns, rows)
-    boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, grid, float(buffer_m))
+    boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, grid, buffer_m)
     cells = _sort_points(x_m, y_m, grid, boxes, np.zeros(0, bool) if among is None else among)
     rings = _Rings(polygons.xy_m, polygons.ring_offset, polygons.polygon_offset)
     return _crop(cells, grid, boxes, rings, float(buffer_m))
@@ -112,25 +112,17 @@ def _in_halves(
     return point[order], inside[order], offset
 
 
-@entry
 def _cell_boxes(xy: np.ndarray, vertex_offset: np.ndarray, grid: _Grid, buffer_m: float) -> np.ndarray:
     """First and last column and row of the cells around each polygon, int64 (num_polygons, 4).
 
     (0, -1, 0, -1) for a polygon without vertices.
     """
-    boxes = np.empty((len(vertex_offset) - 1, 4), np.int64)
-    for p in range(len(vertex_offset) - 1):
-        if vertex_offset[p] == vertex_offset[p + 1]:
-            boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3] = 0, -1, 0, -1
-            continue
-        x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
-        for k in range(vertex_offset[p], vertex_offset[p + 1]):
-            x_min, x_max = min(x_min, xy[k, 0]), max(x_max, xy[k, 0])
-            y_min, y_max = min(y_min, xy[k, 1]), max(y_max, xy[k, 1])
-        boxes[p, 0] = max(0, int((x_min - buffer_m - grid.low_x_m) / grid.cell_m))
-        boxes[p, 1] = min(grid.columns - 1, int((x_max + buffer_m - grid.low_x_m) / grid.cell_m))
-        boxes[p, 2] = max(0, int((y_min - buffer_m - grid.low_y_m) / grid.cell_m))
-        boxes[p, 3] = min(grid.rows - 1, int((y_max + buffer_m - grid.low_y_m) / grid.cell_m))
+    boxes, is_present = np.tile([0, -1, 0, -1], (len(vertex_offset) - 1, 1)), np.diff(vertex_offset) > 0
+    first, low_m = vertex_offset[:-1][is_present], np.array([grid.low_x_m, grid.low_y_m])
+    from_m, to_m = np.minimum.reduceat(xy, first) - buffer_m, np.maximum.reduceat(xy, first) + buffer_m
+    low, high = (((each - low_m) / grid.cell_m).astype(np.int64) for each in (from_m, to_m))
+    boxes[is_present, ::2] = np.maximum(low, 0)
+    boxes[is_present, 1::2] = np.minimum(high, [grid.columns - 1, grid.rows - 1])
     return boxes
 
 
@@ -247,10 +239,7 @@ def ring_medians(
     among: bool (num_points,), mask of the points that count. Both results are (num_polygons,).
     """
     count, result = np.zeros(len(offset) - 1, np.int64), np.full(len(offset) - 1, np.nan)
-    most = 0
-    for p in range(len(offset) - 1):
-        most = max(most, offset[p + 1] - offset[p])
-    some = np.empty(most)
+    some = np.empty(len(point))
     for p in range(len(offset) - 1):
         n = ZERO
         for k in range(offset[p], offset[p + 1]):

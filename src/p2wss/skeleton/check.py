@@ -54,10 +54,8 @@ def separate_pinches(
     """Give every fan of triangles a vertex of its own where several fans meet in one point. Returns the new
     number of vertices, or -1 if there is no room."""
     num_half = 3 * num_triangles
-    for k in range(num_points):
-        num_fans[k] = 0
-    for h in range(num_half):
-        corner[h] = -1
+    num_fans[:num_points] = 0
+    corner[:num_half] = -1
     first_point = num_points
     for h in range(num_half):
         if corner[h] >= 0:

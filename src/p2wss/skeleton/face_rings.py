@@ -81,8 +81,7 @@ def trace_faces(edge: np.ndarray, num_edges: int, counts: np.ndarray, mesh_work:
     uv, ring_point = mesh_work.ring
     ring_start, faces = mesh_work.ring_start, _Faces(edge, num_edges, counts, mesh_work.point)
     ring_order, ring_area, face = mesh_work.ring_order, mesh_work.ring_area, mesh_work.face
-    for k in range(counts[NUM_NODES] + num_edges):
-        out_head[k] = -1
+    out_head[: counts[NUM_NODES] + num_edges] = -1
     num_ring_points, num_rings, num_faces, num_ordered = 0, 0, 0, 0
     ring_start[0] = 0
     for label in range(num_labels(num_edges, counts)):

@@ -63,8 +63,7 @@ def find_reverses(start: np.ndarray, end: np.ndarray, slot: np.ndarray, result: 
     """Write to ``result``, for each half-edge between vertices, int64 (n,), the one that runs the other way, -1 for
     none: by a hash table with open addresses, ``slot``, in which of equal half-edges the first one is."""
     size = num_slots(len(start))
-    for place in range(size):
-        slot[place] = -1
+    slot[:size] = -1
     for is_asked in (False, True):
         for half in range(len(start)):
             one, other = (end[half], start[half]) if is_asked else (start[half], end[half])

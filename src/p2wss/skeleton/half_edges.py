@@ -162,9 +162,7 @@ def _join_coplanar_labels(
 
 @inner
 def _add(half: np.ndarray, label_head: np.ndarray, num_half: int, start: int, end: int, label: int) -> int:
-    half[num_half].start = start
-    half[num_half].end = end
-    half[num_half].label = label
+    half[num_half].start, half[num_half].end, half[num_half].label = start, end, label
     half[num_half].alive = 1
     half[num_half].next_in_label = label_head[label]
     label_head[label] = num_half
@@ -385,8 +383,7 @@ def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: M
         return OVERFLOW, 0
     places = _gather_nodes(edge, num_edges, node, num_nodes, mesh_work)
     _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent)
-    for label in range(labels):
-        label_head[label] = -1
+    label_head[:labels] = -1
     num_half = ZERO
     ground = ground_label(num_edges, counts)
     for k in range(counts[NUM_ARCS] + num_edges):
@@ -423,8 +420,7 @@ def drop_straight_points(
     half: np.ndarray, num_half: int, degree: np.ndarray, point: np.ndarray, num_points: int
 ) -> None:
     """Remove the points between two faces only, which lie on the line where their planes meet, up to the tolerance."""
-    for k in range(num_points):
-        degree[k] = 0
+    degree[:num_points] = 0
     for h in range(num_half):
         if half[h].alive == 1:
             degree[half[h].start] += 1

@@ -89,15 +89,11 @@ def _position(node: np.ndarray, vertex: np.ndarray, v: int, t: float) -> tuple[f
 def _start_moving(edge: np.ndarray, vertex: np.ndarray, v: int, t: float) -> None:
     """Set velocity and kind of a vertex from its two edges, and clear its events."""
     left, right = vertex[v].left, vertex[v].right
-    vel_x, vel_y, kind = _vertex_velocity(edge, left, right)
+    vertex[v].vel_x, vertex[v].vel_y, vertex[v].kind = _vertex_velocity(edge, left, right)
     turn = edge[left].dir_x * edge[right].dir_y - edge[left].dir_y * edge[right].dir_x
-    vertex[v].vel_x = vel_x
-    vertex[v].vel_y = vel_y
-    vertex[v].kind = kind
     vertex[v].birth = t
-    vertex[v].reflex = 1 if kind == _ORDINARY and turn < _REFLEX else 0
-    vertex[v].collapse_time = _NEVER
-    vertex[v].split_time = _NEVER
+    vertex[v].reflex = 1 if vertex[v].kind == _ORDINARY and turn < _REFLEX else 0
+    vertex[v].collapse_time = vertex[v].split_time = _NEVER
     vertex[v].split_from = _UNKNOWN
 
 
@@ -118,8 +114,7 @@ def _add_vertex(
     counts[NUM_VERTICES] += 1
     counts[NUM_ALIVE] += 1
     vertex[v].left, vertex[v].right = edges
-    vertex[v].prev = before
-    vertex[v].next = after
+    vertex[v].prev, vertex[v].next = neighbours
     vertex[v].node = at_node
     vertex[v].alive = 1
     vertex[before].next = v
@@ -139,9 +134,7 @@ def _kill(vertex: np.ndarray, counts: np.ndarray, v: int) -> None:
 def _add_node(node: np.ndarray, counts: np.ndarray, x: float, y: float, z: float) -> int:
     k = counts[NUM_NODES]
     counts[NUM_NODES] += 1
-    node[k].x = x
-    node[k].y = y
-    node[k].z = z
+    node[k].x, node[k].y, node[k].z = x, y, z
     return k
 
 
@@ -149,10 +142,8 @@ def _add_node(node: np.ndarray, counts: np.ndarray, x: float, y: float, z: float
 def _add_arc(arc: np.ndarray, counts: np.ndarray, start: int, end: int, left: int, right: int) -> None:
     k = counts[NUM_ARCS]
     counts[NUM_ARCS] += 1
-    arc[k].start = start
-    arc[k].end = end
-    arc[k].left = left
-    arc[k].right = right
+    arc[k].start, arc[k].end = start, end
+    arc[k].left, arc[k].right = left, right
 
 
 @inner
@@ -709,22 +700,14 @@ def simulate(work: SkeletonWork, num_edges: int, num_rings: int, max_roof_height
     nodes, arcs and caps. Face num_edges + c of an arc is the horizontal cap at ``cap_height[c]`` above the eave.
     """
     edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
-    for k in range(len(counts)):
-        counts[k] = 0
-    counts[NUM_NODES] = num_edges
-    counts[NUM_VERTICES] = num_edges
-    counts[NUM_ALIVE] = num_edges
+    counts[:] = 0
+    counts[NUM_NODES] = counts[NUM_VERTICES] = counts[NUM_ALIVE] = num_edges
     counts[NUM_HOLES] = num_rings - 1
     first_phase = 1
     for i in range(num_edges):
-        node[i].x = edge[i].x
-        node[i].y = edge[i].y
-        node[i].z = 0.0
-        vertex[i].left = edge[i].prev
-        vertex[i].right = i
-        vertex[i].prev = edge[i].prev
-        vertex[i].next = edge[i].next
-        vertex[i].node = i
+        node[i].x, node[i].y, node[i].z = edge[i].x, edge[i].y, 0.0
+        vertex[i].left, vertex[i].right, vertex[i].node = edge[i].prev, i, i
+        vertex[i].prev, vertex[i].next = edge[i].prev, edge[i].next
         vertex[i].loop = 0
         vertex[i].alive = 1
         if edge[i].angle_deg == 0.0:

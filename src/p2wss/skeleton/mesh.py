@@ -98,8 +98,7 @@ def _triangulate_faces(num_faces: int, mesh_work: MeshWork) -> int:
             num_triangles = clip_ears(flat, size, mesh_work.ears, mesh_work.triangle, num_triangles)
         if num_triangles < 0:
             return -1
-        for t in range(last, num_triangles):
-            mesh_work.triangle_label[t] = mesh_work.face[f].label
+        mesh_work.triangle_label[last:num_triangles] = mesh_work.face[f].label
     return num_triangles
 
 
@@ -129,8 +128,7 @@ def finish_solid(walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork)
     triangle, new_index = mesh_work.triangle, mesh_work.new_index
     # keep the points in use, in their order
     num_points = num_nodes + num_edges
-    for k in range(num_points):
-        new_index[k] = -1
+    new_index[:num_points] = -1
     for t in range(num_triangles):
         for m in range(3):
             new_index[triangle[t, m]] = 0

@@ -150,10 +150,7 @@ def _wind(
 ) -> None:
     """Writes to ``winding`` how often the boundary of each face winds round each of the points, at most a block."""
     num = len(x)
-    for f in range(num_faces + 1):
-        row = winding[f]
-        for k in range(num):
-            row[k] = 0
+    winding[: num_faces + 1, :num] = 0
     for s in range(num_segments):
         left_x, right_x = segment[s].left_x, segment[s].right_x
         left_y, slope = segment[s].left_y, segment[s].slope

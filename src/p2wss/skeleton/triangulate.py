@@ -84,8 +84,7 @@ def join_holes(
         return -1
     copy_corners(rings, ZERO, loop, ZERO, size)
     zero = ZERO
-    for ring in range(num_rings):
-        joined[ring] = 0
+    joined[:num_rings] = 0
     joined[0] = 1
     for _ in range(num_rings - 1):
         best, best_p, best_q, best_ring = np.inf, ZERO, ZERO, ZERO - 1
@@ -210,8 +209,7 @@ def clip_ears(corners: Corners, size: int, ears: Ears, triangle: np.ndarray, num
         if ear < 0:
             return -1
         a, c = before[ear], after[ear]
-        triangle[num_triangles, 0] = point[a]
-        triangle[num_triangles, 1] = point[ear]
+        triangle[num_triangles, 0], triangle[num_triangles, 1] = point[a], point[ear]
         triangle[num_triangles, 2] = point[c]
         num_triangles += 1
         after[a] = c
@@ -224,7 +222,6 @@ def clip_ears(corners: Corners, size: int, ears: Ears, triangle: np.ndarray, num
     a, b, c = before[here], here, after[here]
     if _cross(corners.uv, a, b, c) <= 0.0:
         return -1
-    triangle[num_triangles, 0] = point[a]
-    triangle[num_triangles, 1] = point[b]
+    triangle[num_triangles, 0], triangle[num_triangles, 1] = point[a], point[b]
     triangle[num_triangles, 2] = point[c]
     return num_triangles + 1
