@@ -178,11 +178,7 @@ def _gelu(x: np.ndarray) -> np.ndarray:
 @cache
 def _gelu_table() -> np.ndarray:
     """Its values from -6 to 6: between them it is a line to 4e-7, and the error function takes ten times as long."""
-    return np.asarray(_gelu_at(np.arange(-_GELU_END, _GELU_END + 2 / _GELU_STEPS, 1 / _GELU_STEPS)))
-
-
-@entry
-def _gelu_at(x: np.ndarray) -> np.ndarray:
+    x = np.arange(-_GELU_END, _GELU_END + 2 / _GELU_STEPS, 1 / _GELU_STEPS).tolist()
     return np.array([each * (0.5 + 0.5 * math.erf(each / math.sqrt(2.0))) for each in x])
 
 

@@ -55,11 +55,12 @@ def _solids(batch: Batch, skeleton: SkeletonWork, mesh: MeshWork, start: int, ou
             output.vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
             output.vertex[num_vertices + k, 2] = mesh.vertex[k, 2]
         for t in range(more_triangles):
+            row, label = num_triangles + t, mesh.triangle_label[t]
             for m in range(3):
-                output.triangle[num_triangles + t, m] = mesh.triangle[t, m]
-            of_kind, of_edge = label_kind_and_edge(num_edges, counts, mesh.triangle_label[t])
-            output.triangle_kind[num_triangles + t] = of_kind
-            output.triangle_edge[num_triangles + t] = of_edge
+                output.triangle[row, m] = mesh.triangle[t, m]
+            output.triangle_kind[row], output.triangle_edge[row] = label_kind_and_edge(
+                num_edges, counts, label
+            )
     return len(output.status)
 
 

@@ -46,8 +46,7 @@ def load_footprint(
         if end - start < 3:
             return EMPTY, 0
         for i in range(start, end):
-            edge[i].x = xy_m[first + i, 0] - origin_x
-            edge[i].y = xy_m[first + i, 1] - origin_y
+            edge[i].x, edge[i].y = xy_m[first + i, 0] - origin_x, xy_m[first + i, 1] - origin_y
             edge[i].next = i + 1 if i + 1 < end else start
             edge[i].prev = i - 1 if i > start else end - 1
     for i in range(n):
@@ -56,9 +55,7 @@ def load_footprint(
         length = np.hypot(dx, dy)
         if not length >= _SHORTEST_EDGE_M or not np.isfinite(length):
             return NOT_CLEAN, 0
-        edge[i].length = length
-        edge[i].dir_x = dx / length
-        edge[i].dir_y = dy / length
+        edge[i].length, edge[i].dir_x, edge[i].dir_y = length, dx / length, dy / length
     return OK, n
 
 

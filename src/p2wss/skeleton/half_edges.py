@@ -170,6 +170,14 @@ def _add(half: np.ndarray, label_head: np.ndarray, num_half: int, start: int, en
 
 
 @inner
+def _direction(node: np.ndarray, a: int, b: int) -> tuple[float, float, float, float]:
+    """From node a to node b: the steps in x, y and z for each metre in plan, and how many metres these are."""
+    dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
+    length = np.sqrt(dx * dx + dy * dy)
+    return dx / length, dy / length, dz / length, length
+
+
+@inner
 def _is_behind(places: _Places, faces: tuple[int, int], k: int) -> bool:
     """Whether place k is behind the edge of the footprint of one of two faces: on the other side of a notch, so that it
     is not near to what is at the edge."""
@@ -221,15 +229,13 @@ def _put_cells_ahead(
     """
     node, near, ahead = places.node, mesh_work.near, mesh_work.ahead
     a, b = ends
-    dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
-    length = np.sqrt(dx * dx + dy * dy)
+    dx, dy, dz, length = _direction(node, a, b)
     ahead[0] = end_places[1]
     num_ahead = ZERO + 1
-    if length < _SAME_PLACE_M and abs(dz) > places.storey_m:
+    if length < _SAME_PLACE_M and abs(node[b].z - node[a].z) > places.storey_m:
         return _put_storeys_ahead(places, mesh_work, ends, end_places[1])
     if length == 0.0:
         return num_ahead
-    dx, dy, dz = dx / length, dy / length, dz / length
     num_near = ZERO
     for m in range(places.num):
         k = places.number[m]
@@ -273,9 +279,7 @@ def _put_cells_ahead(
 def _place_on_edge(places: _Places, a: int, b: int, faces: tuple[int, int]) -> int:
     """The place nearest to the edge from a to b, between two faces, that it almost touches, -1 for none."""
     node = places.node
-    dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
-    length = np.sqrt(dx * dx + dy * dy)
-    dx, dy, dz = dx / length, dy / length, dz / length
+    dx, dy, dz, length = _direction(node, a, b)
     best, best_m = -1, 0.5 * _SAME_PLACE_M
     for m in range(places.num):
         k = places.number[m]
@@ -293,9 +297,7 @@ def _place_on_edge(places: _Places, a: int, b: int, faces: tuple[int, int]) -> i
 def _is_alone(places: _Places, a: int, b: int) -> bool:
     """Whether an arc from place a to place b is near to no other place."""
     a_x, a_y = places.node[a].x, places.node[a].y
-    dx, dy = places.node[b].x - a_x, places.node[b].y - a_y
-    length = np.sqrt(dx * dx + dy * dy)
-    dx, dy = dx / length, dy / length
+    dx, dy, _, length = _direction(places.node, a, b)
     count = 0
     for m in range(places.num):  # without branches, so that several are compared at once
         qx, qy = places.x[m] - a_x, places.y[m] - a_y

@@ -97,12 +97,10 @@ def _put_segment(
     (a_x, a_y), (b_x, b_y) = a, b
     if a_x == b_x:
         return k
-    if a_x < b_x:
-        segment[k].left_x, segment[k].left_y, segment[k].right_x = a_x, a_y, b_x
-        segment[k].above, segment[k].below = left_face, right_face
-    else:
-        segment[k].left_x, segment[k].left_y, segment[k].right_x = b_x, b_y, a_x
-        segment[k].above, segment[k].below = right_face, left_face
+    if a_x > b_x:
+        a_x, a_y, b_x, b_y, left_face, right_face = b_x, b_y, a_x, a_y, right_face, left_face
+    segment[k].left_x, segment[k].left_y, segment[k].right_x = a_x, a_y, b_x
+    segment[k].above, segment[k].below = left_face, right_face
     segment[k].slope = (b_y - a_y) / (b_x - a_x)
     return k + 1
 

@@ -74,8 +74,8 @@ class Costs:
     def total_m3(self, label: np.ndarray) -> float:
         """Of planes ``label`` (c,) over the cells; beyond all else for each that is no candidate."""
         choice = np.asarray(_choice_of(self.problem, np.asarray(label, np.int64)))
-        total_m3 = _total_m3(self.problem, self.prices, np.maximum(choice, 0))
-        return float(total_m3) + FORBIDDEN_M3 * np.count_nonzero(choice < 0)
+        of_candidates_m3 = float(total_m3(self.problem, self.prices, np.maximum(choice, 0)))
+        return of_candidates_m3 + FORBIDDEN_M3 * np.count_nonzero(choice < 0)
 
     def change_m3(self, label: np.ndarray, cell: int, number: int) -> float:
         """What it costs that a cell gets another plane, without the prices of faces and lines."""
@@ -424,11 +424,6 @@ def _steps_of(problem: Problem, prices: PlanePrices, label: np.ndarray) -> np.nd
 
 
 @both
-def _total_m3(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> float:
-    return total_m3(problem, prices, choice)
-
-
-@allocating
 def total_m3(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> float:
     """What a choice costs."""
     label, total = problem.number[choice], problem.cell_m3[choice].sum()
