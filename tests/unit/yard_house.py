@@ -7,7 +7,7 @@ from kernel_unions import union
 
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction
-from p2wss.fit.mesh.open_ground import OpenGround
+from p2wss.fit.mesh.open_ground import with_floors
 from p2wss.fit.roof.fitter import FittedRoof
 
 HOUSE_M2, YARD_M2, YARD_M, EAVE_M, SLOPE_DEG = 64.0, 48.0, 1.0, 5.0, 40.0
@@ -24,7 +24,7 @@ def yard_house(x_m: float = 652000.0, y_m: float = 6861000.0, ground_z_m: float 
     ]
     mesh = union(parts, YARD_M, 12.0)
     in_yard = np.array([[11.0, 4.0, 0.2]])
-    marked = OpenGround(in_yard, 1).marked(mesh)
+    marked = with_floors(mesh, in_yard, 1)
     return Reconstruction(
         "yard", "t", "fit", reasons.OK, (x_m, y_m), ground_z_m, [FOOTPRINT], EAVE_M, angle_deg,
         marked, 2,

@@ -53,7 +53,7 @@ def doctor() -> None:
         except PackageNotFoundError:
             needed = f"'p2wss[{EXTRAS[package]}]'" if package in EXTRAS else distribution
             rows[package] = f"missing: {COSTS[package]}; pip install {needed}"
-    for program in ("nvidia-smi", "pdal", "roofer"):
-        rows[program] = shutil.which(program) or f"missing: {COSTS[program]}"
+    programs = ("nvidia-smi", "pdal", "roofer")
+    rows |= {program: shutil.which(program) or f"missing: {COSTS[program]}" for program in programs}
     for name, text in rows.items():
         print(f"{name:<16} {text}")

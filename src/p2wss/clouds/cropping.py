@@ -42,14 +42,6 @@ class _Sorted(NamedTuple):
     y: np.ndarray
 
 
-class _Rings(NamedTuple):
-    """The arrays of :class:`Polygons`."""
-
-    xy: np.ndarray
-    ring_offset: np.ndarray
-    polygon_offset: np.ndarray
-
-
 def crop_points(
     x_m: np.ndarray,
     y_m: np.ndarray,
@@ -83,7 +75,7 @@ def crop_points(
     grid = _Grid(float(low[0]), float(low[1]), cell_m, columns, rows)
     boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, grid, buffer_m)
     cells = _sort_points(x_m, y_m, grid, boxes, np.zeros(0, bool) if among is None else among)
-    rings = _Rings(polygons.xy_m, polygons.ring_offset, polygons.polygon_offset)
+    rings = polygons.xy_m, polygons.ring_offset, polygons.polygon_offset
     return _crop(cells, grid, boxes, rings, float(buffer_m))
 
 
@@ -158,8 +150,13 @@ def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, a
 
 @entry
 def _crop(
-    cells: _Sorted, grid: _Grid, boxes: np.ndarray, rings: _Rings, buffer_m: float
+    cells: _Sorted,
+    grid: _Grid,
+    boxes: np.ndarray,
+    rings: tuple[np.ndarray, np.ndarray, np.ndarray],
+    buffer_m: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What :func:`crop_points` returns. rings: the arrays of :class:`Polygons`."""
     number, start, order, x, y = cells
     xy, ring_offset, polygon_offset = rings
     num_polygons = len(polygon_offset) - 1
@@ -272,17 +269,12 @@ def seen_share(
         first, last = ring_offset[polygon_offset[p]], ring_offset[polygon_offset[p + 1]]
         if first == last:
             continue
-        x_min, x_max, y_min, y_max = xy[first, 0], xy[first, 0], xy[first, 1], xy[first, 1]
-        for k in range(first, last):
-            x_min, x_max = min(x_min, xy[k, 0]), max(x_max, xy[k, 0])
-            y_min, y_max = min(y_min, xy[k, 1]), max(y_max, xy[k, 1])
-        column0, row0 = int(np.floor(x_min)), int(np.floor(y_min))
-        columns, rows = int(np.floor(x_max)) - column0 + 1, int(np.floor(y_max)) - row0 + 1
+        x, y = xy[first:last, 0], xy[first:last, 1]
+        column0, row0 = int(np.floor(x.min())), int(np.floor(y.min()))
+        columns, rows = int(np.floor(x.max())) - column0 + 1, int(np.floor(y.max())) - row0 + 1
         seen = np.zeros((rows, columns), np.bool_)
-        any_seen = False
         for k in range(offset[p], offset[p + 1]):
             if on_roof[k]:
-                any_seen = True
                 column = int(np.floor(x_cm[k] / 100.0)) - column0
                 row = int(np.floor(y_cm[k] / 100.0)) - row0
                 if 0 <= column < columns and 0 <= row < rows:
@@ -297,5 +289,6 @@ def seen_share(
                 if inside:
                     num_cells += 1
                     num_seen += seen[row, column]
+        any_seen = on_roof[offset[p] : offset[p + 1]].any()
         result[p] = num_seen / num_cells if num_cells else 1.0 * any_seen
     return result

@@ -13,7 +13,7 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
-from p2wss.fit.mesh.open_ground import OpenGround
+from p2wss.fit.mesh.open_ground import with_floors
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.points import ground_points, shaft_points, wall_hits
@@ -54,12 +54,12 @@ class _Prepared:
     """A footprint and the points to which roofs are fitted.
 
     rings: of the footprint, whose walls stand where the roof begins. point_m: (m, 3), the points on the roof, then
-    those of open ground. open_ground: what these show.
+    those of open ground. num_open: how many these are.
     """
 
     rings: Sequence[np.ndarray]
     point_m: np.ndarray
-    open_ground: OpenGround
+    num_open: int
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ def fit_building(task: _Task) -> Reconstruction:
     if (trace := TRACE.get()) is not None:
         trace.append((task.building.building_id, solid.planes))
     mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
-    return _reconstruction(task, prepared, solid, prepared.open_ground.marked(mesh))
+    mesh = with_floors(mesh, prepared.point_m, prepared.num_open)
+    return _reconstruction(task, prepared, solid, mesh)
 
 
 def prepare(task: _Task) -> _Prepared | str:
@@ -115,8 +116,7 @@ def prepare(task: _Task) -> _Prepared | str:
         shaft_m = shaft_points(polygon, building.point_m, building.classification, roof_m, _GROUND_INSIDE_M)
         is_ground = shaft_m[:, 2] < MIN_HEIGHT_M
         roof_m, open_m = np.vstack([roof_m, shaft_m[~is_ground]]), np.vstack([shaft_m[is_ground], open_m])
-    point_m = np.vstack([roof_m, open_m])
-    return _Prepared(rings, point_m, OpenGround(point_m, len(open_m)))
+    return _Prepared(rings, np.vstack([roof_m, open_m]), len(open_m))
 
 
 def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
@@ -140,7 +140,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
         prepared.rings,
         raised(point_m),
         settings,
-        prepared.open_ground.num_ground,
+        prepared.num_open,
         around_m,
         known_roof(task, prepared, supposed_m, settings) if has_few else None,
         supposed_m,

@@ -106,9 +106,7 @@ def by_name(columns: Collection[str]) -> dict[str, str]:
 
 def schema_of(columns: Collection[str], name: str = "auto") -> FootprintSchema:
     """The schema of this name, or for "auto" the one recognised from the columns, :data:`GENERIC` if none."""
-    if name != "auto":
-        return SCHEMAS[name]
-    return SCHEMAS.get(detected(columns) or "", GENERIC)
+    return SCHEMAS.get(detected(columns) or "", GENERIC) if name == "auto" else SCHEMAS[name]
 
 
 def detected(columns: Collection[str]) -> str | None:
@@ -121,10 +119,8 @@ def detected(columns: Collection[str]) -> str | None:
     # a file that states our own id is not from a source
     if "building_id" in lower and "sources" not in lower:
         return None
-    for name, schema in SCHEMAS.items():
-        if all(lower & set(group) for group in schema.evidence):
-            return name
-    return None
+    known = (name for name, each in SCHEMAS.items() if all(lower & set(group) for group in each.evidence))
+    return next(known, None)
 
 
 def building_ids(

@@ -73,8 +73,7 @@ def reference_system(epsg: int) -> str:
 
 def lines(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
     """The lines of a CityJSONSeq, header first, without line ends. The first solid defines the local origin."""
-    for city in _objects(solids, metadata):
-        yield _compact(city)
+    return map(_compact, _objects(solids, metadata))
 
 
 def _objects(solids: Iterable[Solid], metadata: Metadata) -> Iterator[dict[str, Any]]:

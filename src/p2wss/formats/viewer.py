@@ -101,16 +101,12 @@ def viewer(
     buildings: Sequence[Shown], layers: Sequence[Layer], together: bool, place: Place = Place()
 ) -> Viewer:
     """The view of these buildings, of which there is at least one: one at a time, or all ``together``."""
-    around = []
-    if place.plants:
-        crowns = Mesh.joined(place.plants)
-        around.append({"key": "plants", "name": "Vegetation", "color": PLANT_COLOR, **_mesh(crowns)})
-    if place.others:
-        shapes = Mesh.joined(place.others)
-        shapes = shapes.part(shapes.kind != FaceKind.GROUND)
-        around.append({"key": "others", "name": "Other buildings", "color": OTHER_COLOR, **_mesh(shapes)})
-    if place.ground is not None:
-        around.append({"key": "ground", "name": "Ground", "color": GROUND_COLOR, **_mesh(place.ground)})
+    plants, others = Mesh.joined(place.plants), Mesh.joined(place.others)
+    around = (
+        ("plants", "Vegetation", PLANT_COLOR, plants),
+        ("others", "Other buildings", OTHER_COLOR, others.part(others.kind != FaceKind.GROUND)),
+        ("ground", "Ground", GROUND_COLOR, place.ground or Mesh.empty()),
+    )
     data = {
         "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
         "methods": [
@@ -119,7 +115,11 @@ def viewer(
             for layer in layers
         ],
         "together": together,
-        "around": around,
+        "around": [
+            {"key": key, "name": name, "color": color, **_mesh(mesh)}
+            for key, name, color, mesh in around
+            if len(mesh.triangle)
+        ],
         "crs": place.crs,
         "meanings": place.meanings,
         "materials": {name: "#{:02x}{:02x}{:02x}".format(*each.colour) for name, each in MATERIALS.items()},

@@ -221,10 +221,7 @@ def _equations(
     base /= size.reshape(-1, 1)
     # of places from their mean, sums of squares and of the products with heights
     row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
-    stiff = np.ones(num)
-    for p in range(num):
-        if kind[p] == _FLAT:
-            stiff[p] = _STIFF
+    stiff = np.where(kind == _FLAT, _STIFF, 1.0)
     # of walls, the ends on the floor
     ends_m = np.zeros((num, 2, 3))
     for k, p in enumerate(plane):

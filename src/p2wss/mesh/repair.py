@@ -52,11 +52,8 @@ def surfaces_to_write(
         return mesh.surfaces, [breach for breach, _ in pairs]
     divided: list[Surface] = []
     for surface in mesh.surfaces:
-        if surface.face in broken:
-            corners = mesh.triangle[mesh.face == surface.face]
-            divided += [replace(surface, rings=[corner]) for corner in corners]
-        else:
-            divided.append(surface)
+        corners = mesh.triangle[mesh.face == surface.face] if surface.face in broken else ()
+        divided += [replace(surface, rings=[corner]) for corner in corners] or [surface]
     return divided, [breach for breach, _ in _stored_breaches(vertex_m, divided)]
 
 

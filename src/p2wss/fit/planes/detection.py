@@ -391,8 +391,7 @@ def _largest(
                 return plane[:num_planes].copy(), label
             is_tried[seeds] = True
             continue
-        for t in range(best_count):
-            label[best_rows[t]] = first + num_planes
+        label[best_rows[:best_count]] = first + num_planes
         plane[num_planes] = _fit(point_m, best_rows, best_count, settings.noise_m)
         num_planes += 1
 

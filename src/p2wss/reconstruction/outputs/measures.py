@@ -69,10 +69,9 @@ def measure(mesh: Mesh) -> MeshMeasures:
     slope_deg = np.degrees(bearings(np.column_stack([total[:, 2], np.hypot(total[:, 0], total[:, 1])])))[face]
     is_sloped = is_roof & (slope_deg >= FLAT_DEG)
     roof_faces, meetings = np.unique(face[is_roof]), _meetings(mesh, is_sloped)
+    roof_type = FLATS if len(roof_faces) > 1 else FLAT
     if is_sloped.any():
         roof_type = _sloped_type(mesh, is_sloped, roof_faces, total[roof_faces], meetings)
-    else:
-        roof_type = FLATS if len(roof_faces) > 1 else FLAT
     base_z = float(mesh.vertex_m[:, 2].min())
     z = np.sort(corner[is_roof, :, 2], axis=1)
     p50, p70 = (_height_quantile(z, np.abs(mesh.doubled_m2[is_roof, 2]), share) for share in (0.5, 0.7))

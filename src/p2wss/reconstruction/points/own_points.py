@@ -209,7 +209,9 @@ def _theirs(
     if not shows.any():
         return result
     result = is_near & is_high & ~(has_plane & is_own[label])
-    near_z, rise_m = point_m[is_near, 2], _rise_m(surface[is_near], surface[shows])
+    own_m, near_m = surface[shows], surface[is_near]
+    _, beside = nearest(own_m[:, :2], near_m[:, :2], min(RULES.num_near, len(own_m)))
+    near_z, rise_m = near_m[:, 2], np.asarray(_rise_m(near_m, own_m, beside))
     beyond_m = point_m[is_solid & ~inside]
     far_m, other = nearest(beyond_m[:, :2], point_m[is_near, :2], min(RULES.num_beyond, len(beyond_m)))
     higher_m = np.where(far_m < RULES.reach_m, beyond_m[other, 2], -np.inf) - near_z[:, None]
@@ -227,16 +229,11 @@ def _theirs(
     return result
 
 
-def _rise_m(place: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """How far surfaces at places (m, 5) rise above the own ones (n, 5) nearest to them, (m,): x, y, z in metres and the
-    slope there, not a number where it is unknown. A fold between them is no step."""
-    _, beside = nearest(own[:, :2], place[:, :2], min(RULES.num_near, len(own)))
-    return np.asarray(_rise_above_m(place, own, beside))
-
-
 @entry
-def _rise_above_m(place: np.ndarray, own: np.ndarray, beside: np.ndarray) -> np.ndarray:
-    """The same. beside: (m, k), the own ones nearest to each place."""
+def _rise_m(place: np.ndarray, own: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """How far surfaces at places (m, 5) rise above the own ones (n, 5) nearest to them, (m,): x, y, z in metres and the
+    slope there, not a number where it is unknown. A fold between them is no step. beside: (m, k), the own ones nearest
+    to each place."""
     result, step_m = np.empty(len(place)), np.empty(beside.shape[1])
     for i in range(len(place)):
         for k, other in enumerate(beside[i]):

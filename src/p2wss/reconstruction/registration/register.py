@@ -261,8 +261,7 @@ def block_shifts(
     blocks: Blocks, cloud: Cloud, is_own: np.ndarray, names: Mapping[int, str] | None = None
 ) -> Shifts:
     """The movement of every block. is_own: see :func:`decide`. names: of blocks, for messages."""
-    near = _Near(blocks, cloud)
-    return decide(near.estimates(names or {}), blocks_around(blocks), is_own)
+    return decide(_Near(blocks, cloud).estimates(names or {}), blocks_around(blocks), is_own)
 
 
 def blocks_around(blocks: Blocks) -> np.ndarray:

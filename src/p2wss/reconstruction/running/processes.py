@@ -115,11 +115,7 @@ class Shared(Generic[S, T]):
     def _alone(self, number: int) -> T:
         """The result of a value at which a process was killed."""
         ending = ""
-
-        def first(value: S, ending: str) -> T:
-            return self._function(value)
-
-        for attempt in (first, *self._instead[:-1]):
+        for attempt in (lambda value, ending: self._function(value), *self._instead[:-1]):
             results = ((number, function(self._values[number], ending)) for function in [attempt])
             fork = _Fork(results, self._folder)
             done = [result for _, result in fork.until_end()]

@@ -9,7 +9,7 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.mesh.open_ground import OpenGround
+from p2wss.fit.mesh.open_ground import with_floors
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -100,12 +100,12 @@ def test_a_building_keeps_a_roof() -> None:
     vertex_m = np.array([[0, 0, 0.5], [4, 0, 0.5], [4, 4, 0.5], [0, 4, 0.5], [8, 0, 5], [8, 4, 5.0]])
     triangle, label = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5]]), np.array([0, 0, 1])
     kind = np.array([FaceKind.FLAT, FaceKind.FLAT, FaceKind.ROOF], np.uint8)
-    open_ground = OpenGround(np.array([[3, 1, 0.4]]), 1)
+    over_m = np.array([[3, 1, 0.4]])
     mesh = Mesh(vertex_m, triangle, kind, label)
-    with_floor = open_ground.marked(mesh).kind
+    with_floor = with_floors(mesh, over_m, 1).kind
     assert (
         with_floor.tolist() == [FaceKind.FLOOR, FaceKind.FLOOR, FaceKind.ROOF]
         and with_floor.dtype == np.uint8
     )
-    only = open_ground.marked(mesh.part(np.arange(2)))
+    only = with_floors(mesh.part(np.arange(2)), over_m, 1)
     assert only.kind.tolist() == [FaceKind.FLAT, FaceKind.FLAT]
