@@ -43,7 +43,8 @@ class CloudCrops:
     point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for points in the buffer around
     the footprint. ground_z_m: float64 (n,), z of the ground at the building (:func:`ground_height`). If the cloud
     has no ground there, it is the 2 % quantile of the heights of the building's points; NaN only without points.
-    is_foot: bool (n,), whether it is that quantile: at best, the foot of a wall.
+    is_foot: bool (n,), whether it is that quantile: at best, the foot of a wall. guess_sd_m: (n,), the standard
+    deviation of the points that it is from where none has class ground, so that all may be on roofs; NaN elsewhere.
     """
 
     point: np.ndarray
@@ -51,6 +52,7 @@ class CloudCrops:
     offset: np.ndarray
     ground_z_m: np.ndarray
     is_foot: np.ndarray
+    guess_sd_m: np.ndarray
 
     def of(self, polygon: int) -> np.ndarray:
         """Indices of the points of one polygon."""
@@ -61,11 +63,11 @@ def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cloud
     """The points of ``cloud`` inside or within ``buffer_m`` of each polygon. polygons: in the CRS of the cloud."""
     point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
     first_ring = (point, inside, offset) if buffer_m == _GROUND_RINGS_M[0] else None
-    ground_z_m = ground_height(cloud, polygons, first_ring)
+    ground_z_m, guess_sd_m = ground_height(cloud, polygons, first_ring)
     is_foot = np.isnan(ground_z_m) & (np.diff(offset) > 0)
     for p in np.flatnonzero(is_foot):
         ground_z_m[p] = np.quantile(cloud.z_m[point[offset[p] : offset[p + 1]]], _FOOT_QUANTILE)
-    return CloudCrops(point, inside, offset, ground_z_m, is_foot)
+    return CloudCrops(point, inside, offset, ground_z_m, is_foot, guess_sd_m)
 
 
 def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[int, np.ndarray]:
@@ -86,8 +88,9 @@ def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[
 
 def ground_height(
     cloud: Cloud, polygons: Polygons, first_ring: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-) -> np.ndarray:
-    """z of the ground around each polygon, float64 (num_polygons,); NaN if the cloud has no ground there.
+) -> tuple[np.ndarray, np.ndarray]:
+    """z of the ground around each polygon, float64 (num_polygons,), NaN if the cloud has no ground there; the standard
+    deviation of the points that it is from where none has class ground, NaN elsewhere.
 
     It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it, or at most 4 m
     away if these are fewer than five. If there are few again, it is the :func:`low_height` of the lowest points at most
@@ -95,7 +98,7 @@ def ground_height(
     for 1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
-    result = np.full(len(polygons), np.nan)
+    result, guess_sd_m = np.full((2, len(polygons)), np.nan)
     pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
     for distance_m in _GROUND_RINGS_M if is_ground.any() else ():
         if first_ring is not None and distance_m == _GROUND_RINGS_M[0] and len(pending) == len(polygons):
@@ -116,8 +119,9 @@ def ground_height(
             around = lowest[point[pairs][~inside[pairs]]]
             if len(around) >= (1 if distance_m == LOWEST_RINGS_M[-1] else _MIN_GROUND_POINTS):
                 result[p] = low_height(cloud, around, polygons.rings(p)[0])
+                guess_sd_m[p] = np.nan if is_ground[around].any() else np.std(cloud.z_m[around])
         pending = pending[np.isnan(result[pending])]
-    return result
+    return result, guess_sd_m
 
 
 def lowest_points(cloud: Cloud) -> np.ndarray:

@@ -560,9 +560,11 @@ def _reconstruct(
             log.info("%s", registration.summary(result.registration for result in results))
         if tile is None and inputs.footprints is not None and not any(r.num_points for r in results):
             raise InputError(_no_overlap(len(results), inputs, points.num_points))
-        num_unseen = sum(r.ground is not None and r.ground[0] == ground.OWN for r in results)
+        num_unseen = sum(r.ground is not None and r.ground[0] in ground.UNSEEN for r in results)
         if num_unseen:
-            text = "warning: no ground is seen around %d of %d buildings; it is guessed from their own points"
+            text = (
+                "warning: no ground is seen around %d of %d buildings; it is guessed from the lowest points"
+            )
             log.warning(
                 text + " (ground_source), often too high%s",
                 num_unseen,

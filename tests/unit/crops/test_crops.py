@@ -125,22 +125,26 @@ def join(*clouds):
     return Cloud(*(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in names), None)
 
 
+def ground_z_m_of(cloud, polygons):
+    return ground_height(cloud, polygons)[0]
+
+
 def test_ground_is_the_median_of_the_nearest_ground_points():
     box = shapely.box(10, 10, 20, 20)
     sloping = grid_cloud(lambda u, v: 100 + 0.1 * u)
-    assert ground_height(sloping, polygon_arrays.to_polygons([box]))[0] == pytest.approx(101.5, abs=0.06)
+    assert ground_z_m_of(sloping, polygon_arrays.to_polygons([box]))[0] == pytest.approx(101.5, abs=0.06)
     # ground inside the footprint (a class gone wrong) does not count
     inside = grid_cloud(lambda u, v: 0 * u + 130, (10, 20), (10, 20))
-    assert ground_height(join(sloping, inside), polygon_arrays.to_polygons([box]))[0] < 102
+    assert ground_z_m_of(join(sloping, inside), polygon_arrays.to_polygons([box]))[0] < 102
     # none within 1 m: further away, as far as 64 m, then nothing
     for gap, expected in ((3, 50.0), (12, 50.0), (50, 50.0), (70, np.nan)):
         far = grid_cloud(lambda u, v: 0 * u + 50, (20 + gap, 24 + gap), (12, 18))
-        ground_z_m = ground_height(far, polygon_arrays.to_polygons([box]))
+        ground_z_m = ground_z_m_of(far, polygon_arrays.to_polygons([box]))
         np.testing.assert_equal(ground_z_m, [expected])
     # a courtyard's ground counts
     ring = box.difference(shapely.box(13, 13, 17, 17))
     court = grid_cloud(lambda u, v: 0 * u + 99, (13, 17), (13, 17))
-    assert ground_height(court, polygon_arrays.to_polygons([ring])).tolist() == [99]
+    assert ground_z_m_of(court, polygon_arrays.to_polygons([ring])).tolist() == [99]
 
 
 def test_a_building_with_few_points_gets_those_on_the_roofs_around_it():
@@ -188,9 +192,9 @@ def test_ground_on_a_slope_lies_between_what_is_above_and_below():
     uphill = grid_cloud(slope, (78, 80), (40, 90), 5.0)
     downhill = grid_cloud(slope, (30, 52), (40, 90), 2.0)
     polygons = polygon_arrays.to_polygons([box])
-    assert ground_height(join(uphill, downhill), polygons)[0] == pytest.approx(0.3 * 65, abs=0.1)
+    assert ground_z_m_of(join(uphill, downhill), polygons)[0] == pytest.approx(0.3 * 65, abs=0.1)
     # the slope goes on where all are on one side
-    assert ground_height(downhill, polygons)[0] == pytest.approx(0.3 * 65, abs=0.5)
+    assert ground_z_m_of(downhill, polygons)[0] == pytest.approx(0.3 * 65, abs=0.5)
 
 
 def test_ground_of_a_hillside_between_roofs():
@@ -200,18 +204,27 @@ def test_ground_of_a_hillside_between_roofs():
     square = (slope.x_m // 8 + slope.y_m // 8) % 2
     is_pit = (slope.x_m // 8 == 7) & (slope.y_m // 8 == 8)
     slope.z_m[:] += np.where(is_pit, -4.0, np.where(square > 0, 9.0, 0.0))
-    found = ground_height(slope, polygon_arrays.to_polygons([box]))[0]
+    found = ground_z_m_of(slope, polygon_arrays.to_polygons([box]))[0]
     assert found == pytest.approx(100 + 0.2 * 68 - 0.1 * 68, abs=0.2)
+
+
+def test_points_without_class_show_no_ground_where_none_around_has_class_ground():
+    """Chimneys of the neighbours, as in a cloud cut out along footprints."""
+    polygons = polygon_arrays.to_polygons([shapely.box(10, 10, 20, 20)])
+    chimneys = grid_cloud(lambda u, v: 0 * u + 29, (25, 40), (10, 20), classes=1)
+    assert [each.tolist() for each in ground_height(chimneys, polygons)] == [[29], [0]]
+    seen = grid_cloud(lambda u, v: 0 * u + 20, (30, 31), (20, 21), classes=2)
+    assert np.isnan(ground_height(join(chimneys, seen), polygons)[1]).all()
 
 
 def test_ground_without_classes_is_low():
     box = shapely.box(10, 10, 20, 20)
     ground = grid_cloud(lambda u, v: 0 * u + 20, (8, 22), (8, 22), classes=0)
     roofs = grid_cloud(lambda u, v: 0 * u + 29, (8, 14), (8, 22), classes=1)
-    assert ground_height(join(ground, roofs), polygon_arrays.to_polygons([box])).tolist() == [20]
+    assert ground_z_m_of(join(ground, roofs), polygon_arrays.to_polygons([box])).tolist() == [20]
     # ground elsewhere in the cloud, which another run of the same building may not read, changes nothing
     far = grid_cloud(lambda u, v: 0 * u + 50, (90, 94), (12, 18))
-    assert ground_height(join(ground, roofs, far), polygon_arrays.to_polygons([box])).tolist() == [20]
+    assert ground_z_m_of(join(ground, roofs, far), polygon_arrays.to_polygons([box])).tolist() == [20]
 
 
 def scattered(count, seed=0, extent_m=4000):

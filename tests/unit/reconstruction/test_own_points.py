@@ -348,6 +348,25 @@ def test_without_any_ground_the_terrain_is_it_and_else_the_own_points_are() -> N
     assert not crop_cloud(cloud_of(28.0, ground), polygons).is_foot.any()
 
 
+def test_ground_of_points_without_class_alone_is_a_guess_and_the_terrain_is_better() -> None:
+    """As of a cloud that was cut out along footprints: the lowest points around are on the eaves of neighbours."""
+    polygons = polygon_arrays.to_polygons(np.array([shapely.Polygon(RING)]))
+    eaves = np.column_stack([xy := grid((14, 0), (30, 10)), 38.0 + 0.05 * xy[:, 0]])
+    cloud = cloud_of(45.0, eaves, UNCLASSIFIED_CLASS)
+    cropped = crop_cloud(cloud, polygons)
+    terrain = Terrain(np.full((40, 40), 22.0, np.float32), -10.0, 30.0, 1.0)
+    known, unknown = (ground_of(cloud, cropped, polygons, each) for each in (terrain, None))
+    assert (known.z_m[0], known.source[0]) == (22.0, "terrain")
+    assert 37 < unknown.z_m[0] < 40 and unknown.source[0] == "unclassified-points" and unknown.sd_m[0] > 0.1
+    # where some of them have class ground, ground is seen
+    is_near = (cloud.x_m > 10) & (cloud.x_m < 15)
+    seen = replace(
+        cloud, classification=np.where(is_near, GROUND_CLASS, cloud.classification).astype(np.uint8)
+    )
+    ground = ground_of(seen, crop_cloud(seen, polygons), polygons, terrain)
+    assert ground.source[0] == "around" and np.isnan(ground.sd_m[0])
+
+
 @pytest.mark.parametrize(("share", "found"), [(0.2, (40.0, "around")), (0.8, (37.0, "storey"))])
 def test_some_points_of_class_building_on_the_ground_are_no_roof(
     share: float, found: tuple[float, str]

@@ -332,6 +332,14 @@ def test_of_roofs_alone_the_terrain_is_the_ground(tmp_path: Path, caplog: pytest
     assert (
         "no ground is seen around 2 of 2 buildings" in caplog.text and "; terrain= states it" in caplog.text
     )
+    # nor by points without class on the roof beside, where class ground is far away
+    caplog.clear()
+    roofs[::10, 3] = 1
+    roofs[roofs[:, 0] < np.mean(houses.footprints().total_bounds[::2]), 2] += 10
+    corner = [*houses.footprints().total_bounds[:2] - 40, roofs[:, 2].min() - 5, 2]
+    with p2wss.reconstruct(np.vstack([roofs, corner]), houses.footprints(), progress=False) as scene:
+        assert "unclassified-points" in {each.attributes["ground_source"] for each in scene.values()}
+    assert "no ground is seen around" in caplog.text
 
 
 @pytest.mark.parametrize("kind", ["file", "table", "country", "world", "none"])

@@ -17,7 +17,9 @@ from p2wss.fit.points import quantile
 from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
-AROUND, TERRAIN, LOWEST, OWN, STOREY = "around", "terrain", "lowest-points", "own-points", "storey"
+AROUND, TERRAIN, LOWEST, STOREY = "around", "terrain", "lowest-points", "storey"
+# and where it is not seen: the lowest points around, none of which has class ground; those of the building
+UNSEEN = UNCLASSIFIED, OWN = "unclassified-points", "own-points"
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,14 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
 
     The ground around a footprint is not that of the building if the points on its roof are lower: then the ground is
     the terrain, that of the lowest points around which are below the roof, or a storey below the roof, the first that
-    is below it. Where no ground is seen around, it is the terrain, or else the lowest of the building's own points.
+    is below it. Where no ground is seen around, it is the terrain, or else that of the lowest points without class
+    around or, without any, the lowest of the building's own points.
     """
     count = len(cropped.ground_z_m)
-    z_m, sd_m = cropped.ground_z_m.copy(), np.full(count, np.nan)
-    source = np.full(count, AROUND, dtype=object)
+    z_m, sd_m = cropped.ground_z_m.copy(), cropped.guess_sd_m.copy()
+    is_guess = np.isfinite(sd_m)
+    source = np.where(is_guess, UNCLASSIFIED, AROUND).astype(object)
+    is_unseen = is_guess | cropped.is_foot
     terrain_z = np.full(count, np.nan)
     highest_z = np.full(count, np.inf)
     for p in range(count):
@@ -90,13 +95,13 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
             # without it, they count only from a greater height on
             lowest_m = MIN_HEIGHT_M if roof is own else RULES.lowest_roof_m
             highest_z[p] = low_z + (RULES.lowest_roof_m if may_be_ground else -lowest_m)
-        if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p] or cropped.is_foot[p]):
+        if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p] or is_unseen[p]):
             corner = slice(polygons.vertex_offset[p], polygons.vertex_offset[p + 1])
             height_m = terrain.interpolated(*polygons.xy_m[corner].T)
             terrain_z[p] = np.nanmean(height_m) if np.isfinite(height_m).any() else np.nan
     is_empty = (np.diff(cropped.offset) == 0) & np.isfinite(terrain_z)
     z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, RULES.terrain_sd_m
-    too_high = np.flatnonzero((z_m > highest_z) | cropped.is_foot)
+    too_high = np.flatnonzero((z_m > highest_z) | is_unseen)
     lowest = lowest_points(cloud) if len(too_high) else too_high
     around, _, offset = crop_points(
         cloud.x_m[lowest], cloud.y_m[lowest], polygon_arrays.take(polygons, too_high), LOWEST_RINGS_M[0]
@@ -109,7 +114,7 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
         elif len(low) and z_m[p] > highest_z[p]:
             z_m[p] = min(low_height(cloud, low, polygons.rings(p)[0]), highest_z[p])
             source[p], sd_m[p] = LOWEST, np.std(cloud.z_m[low])
-        else:
+        elif z_m[p] > highest_z[p] or cropped.is_foot[p]:
             if z_m[p] > highest_z[p]:
                 z_m[p] = highest_z[p] - RULES.storey_m + RULES.lowest_roof_m
             source[p], sd_m[p] = OWN if cropped.is_foot[p] else STOREY, RULES.storey_sd_m
