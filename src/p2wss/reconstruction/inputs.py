@@ -50,8 +50,6 @@ FootprintInput: TypeAlias = (
 LineInput: TypeAlias = FootprintInput
 # international and survey feet are the same here
 _SAME_UNIT = 1e-5
-# steps of coordinates that move walls visibly
-_COARSE = 0.1
 # files of one run are hardly farther apart
 _FAR_M = 100_000.0
 # LAS 1.4 names fewer than 20 classes, and surveys add a few
@@ -425,11 +423,6 @@ def _in_memory(cloud: CloudInput) -> Cloud:
             " classes: give points as (n, 3) without them"
         )
     x_m, y_m, z_m = np.ascontiguousarray(points[:, :3].T)
-    short = points[:, :2].astype(np.float32)
-    step = float(np.spacing(np.abs(short).max(initial=0)))
-    if step > _COARSE and (short == points[:, :2]).all():
-        text = "warning: x and y of the cloud are in whole steps of %g, as float32 has them; give them as float64"
-        log.warning(text, step)
     return Cloud(x_m, y_m, z_m, classes.astype(np.uint8), None)
 
 

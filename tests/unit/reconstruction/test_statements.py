@@ -219,7 +219,7 @@ def test_a_terrain_above_the_ellipsoid_at_the_sea_is_not_of_another_unit_alone(
     ground_m = np.linspace(0, 2, 9)
     unknown = np.full(9, np.nan)
     sample = plausibility.Sample(
-        ground_m, unknown, unknown, unknown, ground_m * factor + offset_m, unknown, unknown
+        ground_m, unknown, unknown, unknown, ground_m * factor + offset_m, unknown, unknown, np.zeros(2)
     )
     with pytest.raises(InputError, match=r"as if they were in cm; .*state --terrain-unit cm") as error:
         plausibility.check_terrain(sample, "dtm.tif")
@@ -456,6 +456,19 @@ def test_a_file_far_from_the_first_that_states_no_crs_is_named(
     assert "states no CRS" not in caplog.text
     assert_right(built([first, beside, second], houses.footprints()))
     assert f"{second}: states no CRS, and would be more than 100 km from {first}" in caplog.text
+
+
+@pytest.mark.parametrize(("kind", "words"), [("f4", "y is in whole steps of 0.5"), ("f8", "")])
+def test_coordinates_of_a_file_that_were_float32_are_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, words: str
+) -> None:
+    path = houses.write_cloud(tmp_path / "c.laz", spacing_m=0.4)
+    points = laspy.read(path)
+    points.x, points.y = np.array(points.x, kind), np.array(points.y, kind)
+    points.write(path)
+    built(path, houses.footprints())
+    told = [each.getMessage() for each in caplog.records if each.levelname == "WARNING"]
+    assert words in "".join(told) and len(told) == bool(words)
 
 
 @pytest.mark.parametrize("shift_m", [0.0, 0.5])

@@ -35,7 +35,8 @@ class Rules:
     tells that these are no heights, or of the ground alone. usual_m: the unit that is guessed makes the median as near
     to this, by a factor, as any does. layers_m: heights of the ground of one survey at one place do not differ by so
     much; min_points, min_squares, num_layered: of a place, such places, and footprints where this is looked at.
-    max_undulation_m: from the ellipsoid to the sea.
+    max_undulation_m: from the ellipsoid to the sea. step_m: x or y of so many points around a footprint have smaller
+    steps, unless digits were lost; of a raster, both have the same.
     """
 
     num_sampled: int = 32
@@ -56,6 +57,7 @@ class Rules:
     min_squares: int = 10
     num_layered: int = 8
     max_undulation_m: float = 110.0
+    step_m: tuple[float, int] = (0.1, 100)
 
 
 RULES = Rules()
@@ -69,6 +71,8 @@ _FACTORS = {
     10.0: "",
     100.0: "",
 }
+# steps of float32 are powers of two, in the unit of the file
+_BINARY = 1e-3
 _UNITS = ("m", "ft", "dm", "cm", "mm")
 
 
@@ -78,7 +82,8 @@ class Sample:
 
     ground_z_m: of the points. height_m: the median of the points on the footprint above that. width_m: side of a
     square of its area. stated_height_m: by the footprint. terrain_z_m: of the terrain at its centre. num_points: on the
-    footprint. layers_m: between heights of the ground around it (:func:`_layers_m`).
+    footprint. layers_m: between heights of the ground around it (:func:`_layers_m`). step_m: (2,), of all, the smallest
+    step in x and in y between points; 0 of few points.
     """
 
     ground_z_m: np.ndarray
@@ -88,6 +93,7 @@ class Sample:
     terrain_z_m: np.ndarray
     num_points: np.ndarray
     layers_m: np.ndarray
+    step_m: np.ndarray
 
     @property
     def gap_m(self) -> np.ndarray:
@@ -108,7 +114,7 @@ def sample_of(
     shapes = features.geometry[rows]
     boxes = shapely.bounds(shapes) + RULES.around_m * np.array([-1, -1, 1, 1])
     values[2], values[3] = np.sqrt(shapely.area(shapes)), stated_m[rows]
-    every = np.arange(len(rows))
+    every, step_m = np.arange(len(rows)), np.full(2, np.inf)
     for some in [every] if points.count(boxes) <= RULES.together else every[:, None]:
         cloud = points.near(boxes[some], adds_classes=False)
         cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes[some]))
@@ -116,7 +122,13 @@ def sample_of(
         ground_m = np.array([cloud.x_m, cloud.y_m, cloud.z_m])[:, cloud.classification == GROUND_CLASS]
         for i, k in enumerate(some.tolist()):
             own = slice(cropped.offset[i], cropped.offset[i + 1])
-            on = cropped.point[own][cropped.inside[own]]
+            near = cropped.point[own]
+            if len(near) >= RULES.step_m[1]:
+                steps = [
+                    np.diff(np.unique(each[near])).min(initial=np.inf) for each in (cloud.x_m, cloud.y_m)
+                ]
+                step_m = np.minimum(step_m, steps)
+            on = near[cropped.inside[own]]
             is_roof = cloud.classification[on] == BUILDING_CLASS
             roof_z = cloud.z_m[on[is_roof] if is_roof.any() else on]
             values[1, k] = np.median(roof_z) - values[0, k] if len(roof_z) else np.nan
@@ -127,7 +139,8 @@ def sample_of(
                 values[6, k] = _layers_m(ground_m[:, is_near])
     if terrain is not None and len(rows):
         values[4] = terrain.interpolated(features["centre_x_m"][rows], features["centre_y_m"][rows])
-    return Sample(*values)
+    step_m[np.isinf(step_m)] = 0
+    return Sample(*[*values, step_m])
 
 
 def _layers_m(ground_m: np.ndarray) -> float:
@@ -165,6 +178,16 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
             " heights; roofs are as doubtful",
             inputs.headers[0].path,
             np.median(layers_m),
+        )
+    step = sample.step_m.max() / (inputs.metric.horizontal_m or 1.0)
+    is_coarse = sample.step_m.max() > max(RULES.step_m[0], 2 * sample.step_m.min())
+    if is_coarse and abs(np.log2(step) - np.round(np.log2(step))) < _BINARY:
+        log.warning(
+            "warning: %s: %s is in whole steps of %g, as float32 has them, and walls are as doubtful; convert the"
+            " points again, with float64",
+            inputs.headers[0].path,
+            "xy"[int(sample.step_m.argmax())],
+            np.round(step, 3),
         )
     if 1 / RULES.feet_ratio[1] < (times := times_stated(sample)) < 1 / RULES.feet_ratio[0]:
         log.warning(
