@@ -45,8 +45,7 @@ def wall_hits(point_m: np.ndarray) -> np.ndarray:
         return np.zeros(len(point_m), bool)
     size = np.array([_WALL_CELL_M, _WALL_CELL_M, _SAME_HEIGHT_M])
     x, y, z = np.floor((point_m - point_m.min(axis=0)) / size).astype(np.int64).T
-    column = x * (y.max() + 1) + y
-    _, column = numbered(column)
+    _, column = numbered(x * (y.max() + 1) + y)
     count = np.bincount(column)
     height, last = point_m[np.lexsort((point_m[:, 2], column)), 2], np.cumsum(count) - 1
     second_highest_m = height[np.maximum(last - 1, last - count + 1)]

@@ -37,8 +37,7 @@ def join_rings(polygons: Polygons, snap_m: float) -> Nodes:
     polygon_of_ring = np.repeat(np.arange(len(polygons)), np.diff(polygons.polygon_offset))
     polygon = np.repeat(polygon_of_ring, np.diff(polygons.ring_offset))
     xy_m, node = np.unique(polygons.xy_m + 0.0, axis=0, return_inverse=True)
-    node = node.reshape(-1)
-    xy_m, node = _merge_vertices(xy_m, node, polygon, snap_m)
+    xy_m, node = _merge_vertices(xy_m, node.reshape(-1), polygon, snap_m)
     return _divide_edges(xy_m, node, polygons.ring_offset, polygon_of_ring, snap_m)
 
 
