@@ -42,10 +42,13 @@ def _next_half(
 ) -> int:
     """The unused half-edge that continues from ``here``; at a pinch, the one that keeps the face on the
     left. -1 if there is none."""
+    best, best_turn, h = -1, 0.0, out_head[here]
+    if h >= 0 and half[h].next_out < 0:
+        # there is no other, and no angle to compute
+        return h if half[h].alive == 1 else -1
     u0, v0 = _place(faces, label, here)
     u1, v1 = _place(faces, label, start)
     back = np.arctan2(v1 - v0, u1 - u0)
-    best, best_turn, h = -1, 0.0, out_head[here]
     while h >= 0:
         if half[h].alive == 1:
             u2, v2 = _place(faces, label, half[h].end)
