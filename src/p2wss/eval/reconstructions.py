@@ -77,10 +77,11 @@ def read_reconstructions(
 
     Raises :class:`InputError` if the file is missing, broken or not a table of reconstructions.
     """
-    if keys is None:
-        table = files.read_table(path, RECONSTRUCTIONS)
-    else:
-        table = files.read_rows(path, RECONSTRUCTIONS, KEY_COLUMNS, files.rows_with(KEY_COLUMNS, keys))
+    table = (
+        files.read_table(path, RECONSTRUCTIONS)
+        if keys is None
+        else files.read_rows(path, RECONSTRUCTIONS, KEY_COLUMNS, files.rows_with(KEY_COLUMNS, keys))
+    )
     polygons = polygon_arrays.from_columns(table)
     by_method: defaultdict[str, dict[Key, Reconstruction]] = defaultdict(dict)
     for i, row in enumerate(table.to_pandas().itertuples()):

@@ -60,10 +60,8 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
                 f"its columns are {', '.join(file_columns.values()) or 'none'}"
             )
         values = frame[source] if source is not None else pd.Series(None, index=frame.index, dtype=object)
-        if column in TEXT:
-            columns[column] = values.astype("string")
-        else:
-            columns[column] = pd.to_numeric(values, errors="coerce").astype("float64")
+        as_numbers = pd.to_numeric(values, errors="coerce").astype("float64")
+        columns[column] = values.astype("string") if column in TEXT else as_numbers
     geometry = shapely.force_2d(frame.geometry.to_numpy())
     is_polygon = shapely.get_type_id(geometry) == shapely.GeometryType.POLYGON
     geometry[is_polygon] = [shapely.MultiPolygon([polygon]) for polygon in geometry[is_polygon]]

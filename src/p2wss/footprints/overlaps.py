@@ -136,8 +136,8 @@ def tell(features: Features) -> None:
         rows = [k for k in range(len(ids)) if status[k] == reason and others[k] is not None]
         if rows:
             names = ", ".join(ids[k] for k in rows[:_NUM_NAMED]) + ", .." * (len(rows) > _NUM_NAMED)
-            level = logging.INFO if reason == reasons.HAS_PARTS else logging.WARNING
-            prefix = "note" if reason == reasons.HAS_PARTS else "warning"
+            is_usual = reason == reasons.HAS_PARTS
+            level, prefix = (logging.INFO, "note") if is_usual else (logging.WARNING, "warning")
             if reason == reasons.WITHIN_OTHER:
                 (most, _), *_ = Counter(name for k in rows for name in others[k].split(" ")).most_common()
                 names += f"; most in {most}: leave it out if it is no building"

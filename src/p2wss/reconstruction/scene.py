@@ -249,9 +249,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         footprint = self[building_id].footprint
         if footprint is None:
             return np.zeros((0, 3))
-        low_x, low_y, high_x, high_y = footprint.bounds
-        near = np.array([[low_x - MARGIN_M, low_y - MARGIN_M, high_x + MARGIN_M, high_y + MARGIN_M]])
-        cloud = self._run.points.near(near)
+        cloud = self._run.points.near(np.array([grown(footprint.bounds, MARGIN_M)]))
         polygons = polygon_arrays.to_polygons(np.array([footprint], dtype=object))
         point = crop_cloud(cloud, polygons, self.config.reconstruct.buffer_m).of(0)
         return np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 
@@ -186,10 +187,8 @@ def _heights(keys: dict[int, int], doubts: list[str]) -> pyproj.CRS | None:
     code, length_m = keys.get(_VERTICAL_CRS, 0), _units().get(keys.get(_VERTICAL_UNIT, 0))
     heights = None
     if 1024 <= code <= 32766:
-        try:
+        with suppress(pyproj.exceptions.CRSError):  # of an ellipsoid, in old files
             heights = pyproj.CRS.from_epsg(_OLD_VERTICAL.get(code, code))
-        except pyproj.exceptions.CRSError:
-            heights = None  # of an ellipsoid, in old files
     if heights is not None and not heights.is_vertical:
         heights = None
     if length_m is None:
