@@ -560,11 +560,9 @@ def _reconstruct(
             raise InputError(_no_overlap(len(results), inputs, points.num_points))
         num_unseen = sum(r.ground is not None and r.ground[0] in ground.UNSEEN for r in results)
         if num_unseen:
-            text = (
-                "warning: no ground is seen around %d of %d buildings; it is guessed from the lowest points"
-            )
             log.warning(
-                text + " (ground_source), often too high%s",
+                "warning: no ground is seen around %d of %d buildings; it is guessed from the lowest points"
+                " (ground_source), often too high%s",
                 num_unseen,
                 len(results),
                 "" if terrain else "; --terrain states it",

@@ -624,11 +624,15 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
                 return BROKEN_WAVEFRONT
             if counts[NUM_LOOPS] == 1:
                 break
+    num_degenerate = 0
     for v in range(num_start):
         if vertex[v].alive == 1:
             vertex[v].collapse_time = _collapse_time(edge, node, vertex, v, t)
             if vertex[v].reflex == 1:
                 _find_split(edge, node, vertex, counts, v, t)
+            if vertex[v].kind != _ORDINARY:
+                num_degenerate += 1
+    first_degenerate = 0
 
     max_events = 20 * num_edges + 100
     for _ in range(max_events):
@@ -640,11 +644,16 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
             return OVERFLOW
         if counts[NUM_ARCS] + 2 * room > len(work.arc) or counts[NUM_CAPS] + 2 > len(work.cap_height):
             return OVERFLOW
-        degenerate, second = ZERO - 1, ZERO - 1
-        for v in range(counts[NUM_VERTICES]):
-            if vertex[v].alive == 1 and vertex[v].kind != _ORDINARY:
-                degenerate = v
-                break
+        degenerate = ZERO - 1
+        if num_degenerate > 0:
+            num_degenerate = 0
+            for v in range(first_degenerate, counts[NUM_VERTICES]):
+                if vertex[v].alive == 1 and vertex[v].kind != _ORDINARY:
+                    if degenerate < 0:
+                        degenerate = v
+                        first_degenerate = v
+                    num_degenerate += 1
+        second = ZERO - 1
         if degenerate >= 0:
             first = _close_degenerate(work, degenerate, t)
         else:
@@ -663,6 +672,10 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
                 first = _collapse(work, v, t)
         if phase == 0:
             node[vertex[first].node].z = 0.0
+        if vertex[first].kind != _ORDINARY:
+            num_degenerate += 1
+        if second >= 0 and vertex[second].kind != _ORDINARY:
+            num_degenerate += 1
         if not _settle(work, num_edges, first, phase, t):
             return BROKEN_WAVEFRONT
         if second >= 0:  # noqa: SIM102

@@ -19,20 +19,21 @@ def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[n
     >>> nearest(np.array([[0.0, 0.0], [3.0, 4.0]]), np.zeros((1, 2)), 2)
     (array([[0., 5.]]), array([[0, 1]]))
     """
-    low_m = np.min(point_m, axis=0)
-    at_m, from_m = (writable(each - low_m, np.float64) for each in (point_m, place_m))
-    squared_m2, number = _nearest(from_m, at_m, int(count))
+    squared_m2, number = _nearest(writable(place_m, np.float64), writable(point_m, np.float64), int(count))
     return np.sqrt(squared_m2[:, :count]), number[:, :count]
 
 
 @entry
 def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(squared distances, numbers), one more than asked for of each place. point_m: from 0 on along each axis."""
-    size, extent_m, local_m = point_m.shape[1], np.zeros(3), np.zeros((len(point_m), 3))
+    """(squared distances, numbers), one more than asked for of each place."""
+    size, low_m, extent_m, local_m = point_m.shape[1], np.zeros(3), np.zeros(3), np.zeros((len(point_m), 3))
     for k in range(size):
+        low_m[k] = np.inf
         for t in range(len(point_m)):
-            local_m[t, k] = point_m[t, k]
-            extent_m[k] = max(extent_m[k], point_m[t, k])
+            low_m[k] = min(low_m[k], point_m[t, k])
+        for t in range(len(point_m)):
+            local_m[t, k] = point_m[t, k] - low_m[k]
+            extent_m[k] = max(extent_m[k], local_m[t, k])
     # the points by the cells of a grid in plan, one in each on average: larger ones are slower for any count
     cell_m = max(
         (extent_m[0] * extent_m[1] / len(point_m)) ** 0.5,
@@ -51,7 +52,7 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
     for i in range(len(place_m)):
         squared_m2, number = all_squared_m2[i], all_numbers[i]
         for k in range(size):
-            place[k] = place_m[i, k]
+            place[k] = place_m[i, k] - low_m[k]
         column = int(min(max(place[0] / cell_m, 0.0), num_columns - 1.0))
         row = int(min(max(place[1] / cell_m, 0.0), num_rows - 1.0))
         reach, bound_m = 1, 0.0

@@ -44,13 +44,20 @@ def segment_distance_m2(
     a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
 ) -> float:
     """Squared distance of the segments from a to b and from c to d, all (x, y); 0 where they cross."""
-    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], d[0] - c[0], d[1] - c[1]
-    c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
-    a_side, b_side = vx * (a[1] - c[1]) - vy * (a[0] - c[0]), vx * (b[1] - c[1]) - vy * (b[0] - c[0])
-    if c_side * d_side < 0.0 and a_side * b_side < 0.0:
+    if max(sides(a, b, c, d), sides(c, d, a, b)) < 0.0:
         return 0.0
     near = min(to_segment_m2(a, c, d), to_segment_m2(b, c, d))
     return min(near, min(to_segment_m2(c, a, b), to_segment_m2(d, a, b)))
+
+
+@inner
+def sides(
+    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
+) -> float:
+    """Below 0 if c and d are on different sides of the line from a to b, 0 if one of them is on it."""
+    ux, uy = b[0] - a[0], b[1] - a[1]
+    c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
+    return c_side * d_side
 
 
 @inner

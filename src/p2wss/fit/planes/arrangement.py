@@ -95,14 +95,12 @@ def arrange(
     inside = inside[np.lexsort(shapely.get_coordinates(middle[inside]).T)]
     rank = np.full(len(size) + 1, -1)
     rank[order[~is_hole[order]][inside]] = np.arange(len(inside))
-    cell = rank[of_cell[ring]]
-    used, vertex = numbered(corner[cell >= 0])
-    number = np.empty(len(place), np.int64)
-    number[used] = np.arange(len(used))
-    start, end = vertex, number[corner[next_in_ring(np.cumsum([0, *size]))][cell >= 0]]
-    cell = cell[cell >= 0]
-    by_cell = np.argsort(cell, kind="stable")
-    start, end, cell = start[by_cell], end[by_cell], cell[by_cell]
+    cell, after = rank[of_cell[ring]], corner[next_in_ring(np.cumsum([0, *size]))]
+    # cell by cell, without what is outside
+    rows = np.argsort(cell, kind="stable")
+    rows = rows[np.searchsorted(cell[rows], 0) :]
+    used, start = numbered(corner[rows])
+    end, cell = np.searchsorted(used, after[rows]), cell[rows]
     back = reverses(start, end)
     once = np.flatnonzero((back < 0) | (start < end))
     side = np.column_stack([start, end])[once]

@@ -16,6 +16,7 @@ from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.rings import sides
 from p2wss.skeleton.types import cross, differs, distinct, numbered, writable
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
@@ -183,27 +184,16 @@ def _crossed(link_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
     order = np.argsort(low_x)
     widest = np.abs(link_m[:, 1, 0] - link_m[:, 0, 0]).max() if len(link_m) else 0.0
     low_x = low_x[order]
-    for (x, y), (end_x, end_y) in end_m:
-        along_x, along_y = end_x - x, end_y - y
+    for one, other in end_m:
         first, last = (
-            np.searchsorted(low_x, min(x, end_x) - widest),
-            np.searchsorted(low_x, max(x, end_x), "right"),
+            np.searchsorted(low_x, min(one[0], other[0]) - widest),
+            np.searchsorted(low_x, max(one[0], other[0]), "right"),
         )
+        start, end = (one[0], one[1]), (other[0], other[1])
         for k in order[first:last]:
-            one_x, one_y, other_x, other_y = (
-                link_m[k, 0, 0] - x,
-                link_m[k, 0, 1] - y,
-                link_m[k, 1, 0] - x,
-                link_m[k, 1, 1] - y,
-            )
-            # the ends of each are on both sides of the other
-            one, other = along_x * one_y - along_y * one_x, along_x * other_y - along_y * other_x
-            if one * other > 0.0 or result[k]:
-                continue
-            step_x, step_y = other_x - one_x, other_y - one_y
-            start = step_x * one_y - step_y * one_x
-            end = start - step_x * along_y + step_y * along_x
-            result[k] = start * end <= 0.0
+            here, there = (link_m[k, 0, 0], link_m[k, 0, 1]), (link_m[k, 1, 0], link_m[k, 1, 1])
+            if not result[k] and sides(start, end, here, there) <= 0.0:
+                result[k] = sides(here, there, start, end) <= 0.0
     return result
 
 

@@ -43,10 +43,8 @@ def straightened(
     begin, at = sorted_by(side.ravel(), len(xy_m))
     at //= 2
     # each vertex that goes puts its neighbours there once more
-    pending, num = np.empty(3 * len(xy_m) + 1, np.int64), ZERO
-    for v in range(len(xy_m) - 1, -1, -1):
-        pending[num] = v
-        num += 1
+    pending, num = np.empty(3 * len(xy_m) + 1, np.int64), ZERO + len(xy_m)
+    pending[:num] = np.arange(num)[::-1]
     while num:
         num -= 1
         v = pending[num]
