@@ -13,7 +13,7 @@ from p2wss.skeleton.ordering import sorted_by
 from p2wss.skeleton.types import FaceKind, distinct, writable
 
 # what moves by less than this stays, to the bit
-_EXACT_M = 1e-6
+EXACT_M = 1e-6
 # how much more the heights that a slope of a level roof makes count than others; roofs narrower than the second share
 # of their length have no slope across
 _STIFF, _THIN = 100.0, 1e-12
@@ -26,6 +26,8 @@ _NO_SOLUTION_M = 1e6
 _NUM_ROUNDS = 4
 # rotations after which a matrix of three rows is diagonal to the last bit
 _NUM_TURNS = 18
+# a smaller share off the diagonal turns nothing
+_NO_TURN = 1e-30
 # how many planes away from where planes do not meet others still move
 _NUM_RINGS = 2
 # a plane with more places than this moves only where it does not meet others
@@ -40,52 +42,51 @@ _NO_AREA_M2 = 1e-6
 
 
 def with_meeting_planes(
-    mesh: Mesh,
-    place: np.ndarray,
-    more: Collection[tuple[int, int]] = (),
-    free: Collection[int] = (),
-    turns: bool = False,
-    corners_stay: bool = False,
-    only: np.ndarray | None = None,
+    mesh: Mesh, place: np.ndarray, more: Collection[tuple[int, int]] = ()
 ) -> tuple[Mesh, np.ndarray]:
     """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
     planes of each vertex are from it, (v,), where they cannot).
 
     place: int (v,): vertices of one number become one point. more: (vertex, plane of ``mesh.planes``), further planes
-    through the places of vertices. Roofs may tilt, walls between roofs shift and, with ``turns``, turn; floors and the
-    walls on them stay, but for those planes that are ``free`` to shift, too. Conditions are linear in the changes of
-    the planes while vertices stay; as they follow their planes, the least squares are solved a few times.
-
-    corners_stay: whether vertices that no plane can move stay, too: a corner of the footprint within a wall may be a
-    millimetre off its line.
-
-    only: bool (v,), vertices whose planes shall meet: those around them change, and others count only where planes
-    changed.
+    through the places of vertices. Roofs may tilt, and walls between roofs shift; floors and the walls on them stay.
+    Conditions are linear in the changes of the planes while vertices stay; as they follow their planes, the least
+    squares are solved a few times.
     """
-    planes = mesh.planes
-    num = len(planes.kind)
-    vertex, plane = mesh.at
-    is_free = np.zeros(num, bool)
-    is_free[[*free]] = True
+    planes, (vertex, plane), num = mesh.planes, mesh.at, len(mesh.planes.kind)
+    # any vertex of a place tells where its planes are, as they are linear
+    _, first, place = np.unique(place, return_index=True, return_inverse=True)
+    further = np.array(list(more), int).reshape(-1, 2)
+    pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
+    at, plane_at = np.divmod(distinct(pairs), num)
     vertex_m = writable(mesh.vertex_m, np.float64)
-    first, at, plane_at = np.arange(len(vertex_m)), vertex, plane
-    if more or (place != first).any():
-        # any vertex of a place tells where its planes are, as they are linear
-        _, first, place = np.unique(place, return_index=True, return_inverse=True)
-        further = np.array(list(more), int).reshape(-1, 2)
-        pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
-        at, plane_at = np.divmod(distinct(pairs), num)
-    counts = np.ones(len(first), bool) if only is None else np.bincount(place, weights=only) > 0
-    row, scale = _equations(vertex_m, vertex, plane, planes.kind, planes.normal, is_free, turns)
-    point_m, apart_m = _points(vertex_m[first], row, scale, at, plane_at, counts, corners_stay)
+    point_m, apart_m = _meeting_points(
+        vertex_m, first, vertex, plane, at, plane_at, planes.kind, planes.normal
+    )
     moved_m = point_m[place, :3]
-    stays = np.abs(moved_m - mesh.vertex_m) < _EXACT_M
-    moved = mesh if stays.all() else mesh.moved(np.where(stays, mesh.vertex_m, moved_m))
+    stays = np.abs(moved_m - vertex_m) < EXACT_M
+    moved = mesh if stays.all() else mesh.moved(np.where(stays, vertex_m, moved_m))
     return moved, apart_m[place]
 
 
 @entry
-def _points(
+def _meeting_points(
+    vertex_m: np.ndarray,
+    first: np.ndarray,
+    vertex: np.ndarray,
+    plane: np.ndarray,
+    at: np.ndarray,
+    plane_at: np.ndarray,
+    kind: np.ndarray,
+    normal: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those of :func:`points`. first: int64 (n,), a vertex of each place. vertex, plane: pairs at vertices. at,
+    plane_at: pairs at places. kind, normal: of the planes."""
+    row, scale = equations(vertex_m, vertex, plane, kind, normal, np.zeros(len(kind), np.bool_), False)
+    return points(vertex_m[first], row, scale, at, plane_at, np.ones(len(first), np.bool_), False)
+
+
+@allocating
+def points(
     first_m: np.ndarray,
     row: np.ndarray,
     scale: np.ndarray,
@@ -96,7 +97,8 @@ def _points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(points (n, 4), with a 1, where planes meet, how far they are from each, (n,)). first_m: (n, 3), where the points
     are today. at, plane: pairs of places and planes, ascending. counts: bool (n,), of which places planes shall meet;
-    those around are added."""
+    those around are added. corners_stay: whether points that no plane can move stay, too: a corner of the footprint
+    within a wall may be a millimetre off its line."""
     num, num_planes = len(first_m), len(row)
     point_m, moves, can_move = np.ones((num, 4)), np.zeros(num_planes, np.bool_), np.zeros(num, np.bool_)
     point_m[:, :3] = first_m
@@ -105,7 +107,7 @@ def _points(
     for k, place in enumerate(at):
         can_move[place] |= moves[plane[k]] or not corners_stay
     apart_m = _apart_m(row, point_m, at, plane)
-    is_off = can_move & counts & (apart_m >= _EXACT_M)
+    is_off = can_move & counts & (apart_m >= EXACT_M)
     if is_off.any():
         together = _together(row, at, plane, moves, is_off)
         is_own, is_here, here = (
@@ -136,7 +138,7 @@ def _together(
     """int (p + n,): planes and places with the same number depend on each other, where some do not meet, bool (n,), and
     are few; -1 for all others."""
     num, num_planes = len(is_off), len(moves)
-    is_linked = _is_near(is_off, moves, at, plane, np.ones(len(at), np.bool_))
+    is_linked = is_near(is_off, moves, at, plane, np.ones(len(at), np.bool_))
     # places where planes depend on each other, as more meet than a point needs
     is_place = np.zeros(num, np.bool_)
     for place in at[is_linked]:
@@ -147,7 +149,7 @@ def _together(
         num_spare[place] += 1
     for place in np.flatnonzero(is_place):
         num_spare[place], count = num_spare[place] - rank[count], count + 1
-    is_linked = _is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
+    is_linked = is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
     part = grouped(num_planes + num, np.column_stack((plane[is_linked], num_planes + at[is_linked])))
     size, is_wrong = np.zeros(part.max() + 1, np.int64), np.zeros(part.max() + 1, np.bool_)
     for k, number in enumerate(part):
@@ -157,8 +159,8 @@ def _together(
     return np.where(is_wrong, np.cumsum(size * is_wrong) // _TOGETHER, -1)[part]
 
 
-@both
-def _is_near(
+@allocating
+def is_near(
     is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray, is_link: np.ndarray
 ) -> np.ndarray:
     """bool (k,): which pairs of a place and a plane that moves are few links away from where planes do not meet, bool
@@ -179,24 +181,14 @@ def _is_near(
     return result & is_moved[plane] & is_near[at]
 
 
-def planes_around(is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """bool (p,): which planes have a say in how those at some places, bool (n,), are made to meet: those that may move,
-    and those that meet them. moves: bool (p,). at, plane: all pairs of a place and a plane there."""
-    is_moved, is_place, result = np.zeros(len(moves), bool), is_off.copy(), np.zeros(len(moves), bool)
-    is_moved[plane[_is_near(is_off, moves, at, plane, np.ones(len(at), bool))]] = True
-    is_place[at[is_moved[plane]]] = True
-    result[plane[is_place[at]]] = True
-    return result
-
-
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     """bool (t,): which triangles of a mesh face the other way than the planes that they had before."""
     normal = before.planes.normal[before.number]
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
 
 
-@entry
-def _equations(
+@allocating
+def equations(
     vertex_m: np.ndarray,
     vertex: np.ndarray,
     plane: np.ndarray,
@@ -216,37 +208,41 @@ def _equations(
     size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
     for k, p in enumerate(plane):
         size[p] += 1
-        base[p] += vertex_m[vertex[k]]
+        for i in range(3):
+            base[p, i] += vertex_m[vertex[k], i]
         on_floor[vertex[k]] |= kind[p] == _GROUND
     base /= size.reshape(-1, 1)
     # of places from their mean, sums of squares and of the products with heights
     row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
     stiff = np.where(kind == _FLAT, _STIFF, 1.0)
     # of walls, the ends on the floor
-    ends_m = np.zeros((num, 2, 3))
+    ends_m = np.zeros((num, 2, 2))
     for k, p in enumerate(plane):
+        x, y, z = vertex_m[vertex[k], 0], vertex_m[vertex[k], 1], vertex_m[vertex[k], 2]
         if kind[p] == _WALL and on_floor[vertex[k]]:
             for a, ahead in enumerate((-1.0, 1.0)):
-                away_m = ahead * (vertex_m[vertex[k]] - ends_m[p, a])
-                if not stands[p] or away_m[1] * normal[p, 0] > away_m[0] * normal[p, 1]:
-                    ends_m[p, a] = vertex_m[vertex[k]]
+                away_x, away_y = ahead * (x - ends_m[p, a, 0]), ahead * (y - ends_m[p, a, 1])
+                if not stands[p] or away_y * normal[p, 0] > away_x * normal[p, 1]:
+                    ends_m[p, a, 0], ends_m[p, a, 1] = x, y
             stands[p] = True
-        away_m = vertex_m[vertex[k]] - base[p]
-        away_m[:2] *= stiff[p]
-        for a in range(2):
-            sums[p, a] += away_m[a] * away_m
+        x, y, z = (x - base[p, 0]) * stiff[p], (y - base[p, 1]) * stiff[p], z - base[p, 2]
+        for a, away_m in enumerate((x, y)):
+            sums[p, a, 0] += away_m * x
+            sums[p, a, 1] += away_m * y
+            sums[p, a, 2] += away_m * z
     for p in range(num):
         row[p, :3] = normal[p]
         x, y = ends_m[p, 1, 0] - ends_m[p, 0, 0], ends_m[p, 1, 1] - ends_m[p, 0, 1]
-        if stands[p] and not is_free[p] and np.hypot(x, y) > _EXACT_M:
+        if stands[p] and not is_free[p] and np.hypot(x, y) > EXACT_M:
             # whatever the vertices above do
-            row[p, 0], row[p, 1], base[p] = y / np.hypot(x, y), -x / np.hypot(x, y), ends_m[p, 0]
+            row[p, 0], row[p, 1] = y / np.hypot(x, y), -x / np.hypot(x, y)
+            base[p, 0], base[p, 1] = ends_m[p, 0, 0], ends_m[p, 0, 1]
         # walls shift only, unless they stand on a floor or may turn
         if kind[p] == _WALL and (is_free[p] or not stands[p]):
             scale[p, 3, 2] = 1 / np.sqrt(size[p])
             x, y = -normal[p, 1], normal[p, 0]
             long = x * x * sums[p, 0, 0] + 2 * x * y * sums[p, 0, 1] + y * y * sums[p, 1, 1]
-            if turns and not stands[p] and long > _EXACT_M:
+            if turns and not stands[p] and long > EXACT_M:
                 x, y = x / np.sqrt(long), y / np.sqrt(long)
                 scale[p, 0, 0], scale[p, 1, 0], scale[p, 3, 0] = x, y, -x * base[p, 0] - y * base[p, 1]
         elif kind[p] != _WALL and kind[p] != _GROUND:
@@ -259,10 +255,11 @@ def _equations(
                 rise = x * xz + y * yz if length > _THIN * max(long, size[p]) else 0.0
                 for a, along in enumerate((x, y)):
                     row[p, a] += stiff[p] * along * rise / max(length, 1e-300)
-                    scale[p, a, k] = along / np.sqrt(max(length, _EXACT_M))
+                    scale[p, a, k] = along / np.sqrt(max(length, EXACT_M))
                     scale[p, 3, k] -= base[p, a] * scale[p, a, k]
                 x, y = -y, x
-        row[p, 3] = -(row[p, :3] * base[p]).sum()
+        for i in range(3):
+            row[p, 3] -= row[p, i] * base[p, i]
     return row, scale
 
 
@@ -333,8 +330,11 @@ def _inverses(row: np.ndarray, at: np.ndarray, plane: np.ndarray) -> tuple[np.nd
                     square[a, b] += row[plane[k], a] * row[plane[k], b]
             k += 1
         begin = k
+        least = _NO_TURN * (square[0, 0] + square[1, 1] + square[2, 2])
         for turn in range(_NUM_TURNS):
             p, q = turn % 3, (turn + 1) % 3
+            if max(abs(square[0, 1]), max(abs(square[1, 2]), abs(square[2, 0]))) <= least:
+                break
             if abs(square[p, q]) <= 1e-300:
                 continue
             ratio = (square[q, q] - square[p, p]) / (2 * square[p, q])
@@ -382,7 +382,7 @@ def _sums(
             for b in range(4):
                 for a in range(3):
                     lever[i, a] += point_m[at, b] * scale[plane[i], b, a]
-            is_off |= abs(off_m[i]) >= _EXACT_M
+            is_off |= abs(off_m[i]) >= EXACT_M
         num_pairs += num_moved * num_moved
     pair, share = np.empty((num_pairs, 2), np.int64), np.empty((num_pairs, 3, 3))
     right, count = np.zeros((number.max() + 1, 3)), 0

@@ -11,16 +11,15 @@ import numpy as np
 
 from p2wss.mesh import topology
 from p2wss.mesh.faces import Surface, surfaces_of
+from p2wss.mesh.shell_kernels import planes_at, planes_of
 from p2wss.mesh.topology import NEXT
-from p2wss.skeleton.types import FaceKind, Meshes, distinct, numbered
+from p2wss.skeleton.types import Meshes, numbered, writable
 
 if TYPE_CHECKING:
     import trimesh
 
 # a plane is upright, or faces upwards, by the z of its normal
 _UPRIGHT_NZ = 0.05
-# numpy takes several times as long to compare with an enumeration
-_WALL = int(FaceKind.WALL)
 # what follows from the triangles and labels alone, and what still holds if each face gets a label of its own
 _CONNECTION = ("twin", "face", "surfaces", "number", "at")
 _SHAPE = ("corner_m", "doubled_m2", "area_m2", "twin", "face", "is_closed", "edge_m")
@@ -145,8 +144,7 @@ class Mesh:
     @cached_property
     def at(self) -> tuple[np.ndarray, np.ndarray]:
         """(vertices, planes), int (k,): all pairs of a vertex and a plane there, in ascending order."""
-        size = int(self.number.max(initial=0)) + 1
-        return np.divmod(distinct(self.triangle.astype(np.int64) * size + self.number[:, None]), size)
+        return planes_at(writable(self.triangle, np.int64), self.number, len(self.vertex_m))
 
     @cached_property
     def planes(self) -> Planes:
@@ -182,16 +180,10 @@ class Planes:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Planes:
-        """The planes of a mesh; their normals are weighted by area, as that of a sliver alone is unreliable, and
-        level for walls, which are upright."""
-        number = mesh.number
-        normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
-        kind = np.zeros(len(normal), np.uint8)
-        kind[number] = mesh.kind
-        normal[kind == _WALL, 2] = 0.0
-        twice_m2 = np.linalg.norm(normal, axis=1)
-        normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
-        return cls(kind, normal, twice_m2 / 2)
+        """The planes of a mesh (:func:`p2wss.mesh.shell_kernels.planes_of`)."""
+        kind, vertex_m = writable(mesh.kind, np.uint8), writable(mesh.vertex_m, np.float64)
+        num = int(mesh.number.max(initial=-1)) + 1
+        return cls(*planes_of(vertex_m, writable(mesh.triangle, np.int64), kind, mesh.number, num))
 
     @property
     def is_wall(self) -> np.ndarray:

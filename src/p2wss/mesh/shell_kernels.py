@@ -1,15 +1,20 @@
-"""Tests of the triangles of a solid, compiled: whether they cross, are thin, and may lose an edge."""
+"""The triangles of a solid, compiled: whether they cross, are thin, and may lose an edge, and what their planes are."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from p2wss.mesh.polygon_kernels import TOUCH_M
-from p2wss.skeleton.compiled import ZERO, entry, inner
+from p2wss.skeleton.compiled import ZERO, both, entry, inner
+from p2wss.skeleton.ordering import sorted_by
 from p2wss.skeleton.rings import segment_distance_m2
+from p2wss.skeleton.types import FaceKind
 
 # faces at a common edge that enclose a smaller angle, in radians, lie on each other
 _FOLD_RAD = 1e-3
+# a triangle of less height than this has no normal that survives the rounding of a file
+NO_HEIGHT_M = 1e-3
+_WALL = int(FaceKind.WALL)
 
 
 @entry
@@ -34,7 +39,7 @@ def any_intersect(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray)
         for i in range(3):
             is_near &= low[num_near, i] <= most[i] and high[num_near, i] >= least[i]
         if is_near:
-            doubled_area(vertex_m, triangle[t], normal[t])
+            normal[t] = doubled_area(vertex_m, triangle[t])
             length = max(np.sqrt(normal[t, 0] ** 2 + normal[t, 1] ** 2 + normal[t, 2] ** 2), 1e-300)
             for i in range(3):
                 normal[t, i] /= length
@@ -67,31 +72,84 @@ def _box(vertex_m: np.ndarray, triangle: np.ndarray, low: np.ndarray, high: np.n
 
 
 @inner
-def doubled_area(vertex_m: np.ndarray, triangle: np.ndarray, result: np.ndarray) -> None:
-    """Sets the result (3,) to the normal of a triangle (3,), as long as twice its area."""
+def doubled_area(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[float, float, float]:
+    """The normal of a triangle (3,), as long as twice its area."""
     one, two, three = triangle
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        result[i] = (vertex_m[two, j] - vertex_m[one, j]) * (vertex_m[three, k] - vertex_m[one, k]) - (
-            vertex_m[two, k] - vertex_m[one, k]
-        ) * (vertex_m[three, j] - vertex_m[one, j])
+    ux, uy, uz = (
+        vertex_m[two, 0] - vertex_m[one, 0],
+        vertex_m[two, 1] - vertex_m[one, 1],
+        vertex_m[two, 2] - vertex_m[one, 2],
+    )
+    vx, vy, vz = (
+        vertex_m[three, 0] - vertex_m[one, 0],
+        vertex_m[three, 1] - vertex_m[one, 1],
+        vertex_m[three, 2] - vertex_m[one, 2],
+    )
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
 @entry
-def thin_triangles(vertex_m: np.ndarray, triangle: np.ndarray, height_m: float) -> np.ndarray:
-    """bool (t,): whether a triangle, int64 (t, 3), has less height than ``height_m``."""
-    result, normal = np.empty(len(triangle), np.bool_), np.empty(3)
+def thin_triangles(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """bool (t,): whether a triangle, int64 (t, 3), has no height."""
+    result = np.empty(len(triangle), np.bool_)
     for t in range(len(triangle)):
-        doubled_area(vertex_m, triangle[t], normal)
-        longest_m2 = 0.0
-        for i in range(3):
-            length_m2 = 0.0
-            for k in range(3):
-                length_m2 += (vertex_m[triangle[t, i], k] - vertex_m[triangle[t, i - 1], k]) ** 2
-            longest_m2 = max(longest_m2, length_m2)
-        area_m4 = normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2
-        result[t] = area_m4 < height_m * height_m * longest_m2
+        result[t] = is_thin(vertex_m, triangle[t])
     return result
+
+
+@inner
+def is_thin(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
+    """Whether a triangle (3,) has no height."""
+    x, y, z = doubled_area(vertex_m, triangle)
+    longest_m2 = 0.0
+    for i in range(3):
+        length_m2 = 0.0
+        for k in range(3):
+            length_m2 += (vertex_m[triangle[i], k] - vertex_m[triangle[i - 1], k]) ** 2
+        longest_m2 = max(longest_m2, length_m2)
+    return x * x + y * y + z * z < NO_HEIGHT_M * NO_HEIGHT_M * longest_m2
+
+
+@both
+def planes_at(triangle: np.ndarray, label: np.ndarray, num_vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """(vertices, labels), int64 (k,): all pairs of a vertex and the label of a triangle there, ascending."""
+    begin, corner = sorted_by(triangle.ravel(), num_vertices)
+    vertex, plane, num = np.empty(len(corner), np.int64), np.empty(len(corner), np.int64), 0
+    for v in range(num_vertices):
+        first = num
+        for each in corner[begin[v] : begin[v + 1]]:
+            here, k = label[each // 3], num
+            while k > first and plane[k - 1] > here:
+                k -= 1
+            if k == first or plane[k - 1] != here:
+                for i in range(num, k, -1):
+                    plane[i] = plane[i - 1]
+                plane[k], vertex[num], num = here, v, num + 1
+    return vertex[:num].copy(), plane[:num].copy()
+
+
+@both
+def planes_of(
+    vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, number: np.ndarray, num: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(kinds (p,), unit normals (p, 3), areas (p,)) of planes. number: int64 (t,), that of each triangle.
+
+    Normals are weighted by area, as that of a sliver alone is unreliable, and level for walls, which are upright; 0 for
+    a plane without area.
+    """
+    plane_kind, normal, area_m2 = np.zeros(num, np.uint8), np.zeros((num, 3)), np.empty(num)
+    for t in range(len(triangle)):
+        plane_kind[number[t]] = kind[t]
+        for i, each in enumerate(doubled_area(vertex_m, triangle[t])):
+            normal[number[t], i] += each
+    for p in range(num):
+        if plane_kind[p] == _WALL:
+            normal[p, 2] = 0.0
+        twice_m2 = np.sqrt(normal[p, 0] ** 2 + normal[p, 1] ** 2 + normal[p, 2] ** 2)
+        area_m2[p] = twice_m2 / 2
+        for i in range(3):
+            normal[p, i] /= max(twice_m2, 1e-12)
+    return plane_kind, normal, area_m2
 
 
 @entry

@@ -102,12 +102,10 @@ def test_a_corner_comes_to_where_planes_meet_that_do_not_move() -> None:
     corner = int(np.flatnonzero(mesh.vertex_m[:, 2] == 0)[0])
     is_corner = np.arange(len(mesh.vertex_m)) == corner
     bent = mesh.moved(mesh.vertex_m + 1e-3 * is_corner[:, None] * [0, 0, 1])
-    for stays in (False, True):
-        moved, apart_m = with_meeting_planes(
-            bent, np.arange(len(is_corner)), corners_stay=stays, only=is_corner
-        )
-        assert (moved.vertex_m[~is_corner] == bent.vertex_m[~is_corner]).all() and apart_m.max() < 1e-6
-        assert (moved.vertex_m[corner, 2] == 1e-3) == stays
+    moved, apart_m = with_meeting_planes(bent, np.arange(len(is_corner)))
+    assert apart_m.max() < 1e-6 and moved.vertex_m[corner, 2] < 9e-4
+    # of a footprint, it stays
+    assert with_exact_faces(bent) is bent
 
 
 @pytest.mark.parametrize("bent_m", [1e10, 1e250])
@@ -172,14 +170,13 @@ def test_short_edges_go_though_planes_elsewhere_do_not_meet() -> None:
 
 def test_an_edge_is_tried_with_the_planes_around_it_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside nine others, a step goes as it does alone, and no more is looked at."""
-    sizes: list[int] = []
+    sizes, attempt = list[int](), planar._without_edge
 
-    def counted(mesh: Mesh, *more: Any, **options: Any) -> tuple[Mesh, np.ndarray]:
-        if options["only"] is not None:
-            sizes.append(len(mesh.vertex_m))
-        return with_meeting_planes(mesh, *more, **options)
+    def counted(mesh: Mesh, is_near: np.ndarray, *more: Any) -> Mesh | None:
+        sizes.append(int(is_near.sum()))
+        return attempt(mesh, is_near, *more)
 
-    monkeypatch.setattr(planar, "with_meeting_planes", counted)
+    monkeypatch.setattr(planar, "_without_edge", counted)
     step = boxes(0.02)
     alone = with_exact_faces(step)
     size = max(sizes)
@@ -194,14 +191,14 @@ def test_a_part_of_a_mesh_is_as_closed_as_before_if_it_fits_into_the_rest() -> N
     part = hip().part(slice(1, None))
     is_within = ~np.isin(np.arange(len(part.vertex_m)), hip().triangle[0])
     step_m = np.full((len(part.vertex_m), 3), 1e-9)
-    assert planar._is_as_closed(part.moved(part.vertex_m + step_m * is_within[:, None]), part)
+    assert planar._changes(part.moved(part.vertex_m + step_m * is_within[:, None]), part)[0]
     # its border moves, another triangle is not there, or is there twice
-    assert not planar._is_as_closed(part.moved(part.vertex_m + step_m * ~is_within[:, None]), part)
+    assert not planar._changes(part.moved(part.vertex_m + step_m * ~is_within[:, None]), part)[0]
     few, twice = (
         replace(part, **changed) for changed in (rows(part, slice(1, None)), rows(part, [*range(15), 14]))
     )
-    assert not planar._is_as_closed(few, part)
-    assert not planar._is_as_closed(twice, part)
+    assert not planar._changes(few, part)[0]
+    assert not planar._changes(twice, part)[0]
 
 
 def rows(mesh: Mesh, of: Any) -> dict[str, np.ndarray]:

@@ -46,4 +46,4 @@ def test_which_edges_can_go() -> None:
 def test_triangles_thinner_than_a_height() -> None:
     vertex_m = np.array([[0, 0, 0], [10, 0, 0], [4, 0, 2e-3], [4, 5e-4, 0]], float)
     triangle = np.array([[0, 1, 2], [0, 1, 3], [3, 1, 0]])
-    assert thin_triangles(vertex_m, triangle, 1e-3).tolist() == [False, True, True]
+    assert thin_triangles(vertex_m, triangle).tolist() == [False, True, True]

@@ -1,0 +1,275 @@
+"""A mesh without an edge, compiled: which edges are short, what is around one, and where planes meet without it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from p2wss.mesh.meeting import EXACT_M, equations, is_near, points
+from p2wss.mesh.shell_kernels import doubled_area, is_thin, planes_at, planes_of
+from p2wss.skeleton.compiled import allocating, entry, inner
+from p2wss.skeleton.groups import find_reverses, num_slots
+from p2wss.skeleton.ordering import sorted_by
+from p2wss.skeleton.types import FaceKind
+
+# planes that a corner of theirs stays further from than this, or leaves by more than the second figure, stay
+_PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
+# ends that are nearer to each other may be one vertex in a file
+_MERGED_M = 2e-3
+# a triangle is turned over if twice its area along its former normal is less than minus this
+_NO_AREA_M2 = 1e-6
+_GROUND, _WALL = int(FaceKind.GROUND), int(FaceKind.WALL)
+
+
+class Triangles(NamedTuple):
+    """Of a mesh. vertex_m: float64 (v, 3). triangle: int64 (t, 3). kind: uint8 (t,). label: int64 (t,)."""
+
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    label: np.ndarray
+
+
+@inner
+def _length_m(vertex_m: np.ndarray, start: int, end: int) -> float:
+    total = 0.0
+    for i in range(3):
+        total += (vertex_m[start, i] - vertex_m[end, i]) ** 2
+    return np.sqrt(total)
+
+
+@entry
+def short_edges(mesh: Triangles, short_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """(ends (k, 2) of the edges shorter than ``short_m``, each once, in the order of the triangles; their lengths)."""
+    vertex_m, triangle = mesh.vertex_m, mesh.triangle
+    ends, length_m, num = np.empty((3 * len(triangle), 2), np.int64), np.empty(3 * len(triangle)), 0
+    for t in range(len(triangle)):
+        for k in range(3):
+            start, end = triangle[t, k], triangle[t, (k + 1) % 3]
+            length = _length_m(vertex_m, start, end)
+            is_new = length < short_m
+            for before in range(num if is_new else 0):
+                one, other = ends[before]
+                is_new &= (one != start or other != end) and (one != end or other != start)
+            if is_new:
+                ends[num, 0], ends[num, 1], length_m[num], num = start, end, length, num + 1
+    return ends[:num].copy(), length_m[:num].copy()
+
+
+@entry
+def beside_edge(
+    mesh: Triangles, vertex: np.ndarray, plane: np.ndarray, end: int, gone: int, walls_stay: bool
+) -> np.ndarray:
+    """bool (t,): which triangles may change if the ends of an edge become one, or are beside those: of the planes that
+    have a say in where theirs meet, and what is beside them, as floors on which walls stand, which then do not move.
+
+    vertex, plane: all pairs of a vertex and the label of a triangle there, ascending.
+    """
+    triangle, kind, label = mesh.triangle, mesh.kind, mesh.label
+    num_vertices, num_planes = len(mesh.vertex_m), label.max() + 1
+    is_place, is_moved = np.zeros(num_vertices, np.bool_), np.zeros(num_planes, np.bool_)
+    # floors stay, and walls on them
+    is_on_floor, moves = np.zeros(num_vertices, np.bool_), np.ones(num_planes, np.bool_)
+    for t in range(len(triangle)):
+        moves[label[t]] &= kind[t] != _GROUND
+        for corner in triangle[t]:
+            is_on_floor[corner] |= kind[t] == _GROUND
+    for t in range(len(triangle)):
+        for corner in triangle[t]:
+            moves[label[t]] &= kind[t] != _WALL or not is_on_floor[corner]
+    for k, v in enumerate(vertex):
+        moves[plane[k]] |= v in (end, gone) and not walls_stay
+    is_place[end] = is_place[gone] = True
+    linked = is_near(is_place, moves, vertex, plane, np.ones(len(vertex), np.bool_))
+    for k, p in enumerate(plane):
+        is_moved[p] |= linked[k]
+    for k, p in enumerate(plane):
+        is_place[vertex[k]] |= is_moved[p]
+    # and the planes that meet them
+    is_moved[:] = False
+    for k, p in enumerate(plane):
+        is_moved[p] |= is_place[vertex[k]]
+    is_place[:] = False
+    is_place[end] = is_place[gone] = True
+    for k, p in enumerate(plane):
+        is_place[vertex[k]] |= is_moved[p]
+    result = np.empty(len(triangle), np.bool_)
+    for t in range(len(triangle)):
+        num = 0
+        for corner in triangle[t]:
+            num += is_place[corner]
+        result[t] = num >= 2
+    return result
+
+
+@entry
+def contracted(
+    mesh: Triangles, is_changed: np.ndarray, end: int, gone: int, short_m: float, walls_stay: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
+    """(vertices (v, 3), triangles (t, 3), which triangle each was, how many of the first did not change, how many more
+    of the others have no height) after the least changes of planes for which the ends of an edge become one vertex; no
+    triangle where that is not possible. With the same end twice, planes meet where they are.
+
+    is_changed: bool (t,), the triangles that are looked at.
+    """
+    vertex_m, triangle = mesh.vertex_m, mesh.triangle
+    near, far = np.flatnonzero(is_changed), np.flatnonzero(~is_changed)
+    own, kind, label = triangle[near], mesh.kind[near], mesh.label[near]
+    joined, stays = own.copy(), np.ones(len(near), np.bool_)
+    is_free, is_on_floor = np.zeros(mesh.label.max() + 1, np.bool_), False
+    for t in range(len(own)):
+        has_end, has_gone = False, False
+        for k in range(3):
+            has_end |= own[t, k] == end
+            if own[t, k] == gone:
+                has_gone, joined[t, k] = True, end
+        stays[t] = gone == end or not (has_end and has_gone)
+        is_on_floor |= has_gone and kind[t] == _GROUND
+    if not walls_stay:
+        vertex, plane = planes_at(own, label, len(vertex_m))
+        for k, v in enumerate(vertex):
+            # planes at one of the ends only
+            if v in (end, gone):
+                is_free[plane[k]] = not is_free[plane[k]]
+    is_met, moved_m = _met(Triangles(vertex_m, own, kind, label), joined, end, gone, short_m, is_free)
+    if gone != end and not is_met and not is_on_floor:
+        rest = Triangles(vertex_m, joined[stays], kind[stays], label[stays])
+        is_free[:] = False
+        is_met, moved_m = _met(rest, rest.triangle, end, end, short_m, is_free)
+    if not is_met:
+        return vertex_m, triangle[:0], near[:0], 0, 0
+    left, num_thin = joined[stays], 0
+    for t in range(len(left)):
+        num_thin += is_thin(moved_m, left[t])
+    for t in range(len(own)):
+        num_thin -= is_thin(vertex_m, own[t])
+    origin = np.concatenate((far, near[stays]))
+    return moved_m, np.concatenate((triangle[far], left)), origin, len(far), num_thin
+
+
+@allocating
+def _met(
+    mesh: Triangles, joined: np.ndarray, end: int, gone: int, short_m: float, is_free: np.ndarray
+) -> tuple[bool, np.ndarray]:
+    """(whether planes meet after a change of centimetres, without turning walls if possible; the vertices then).
+
+    joined: the triangles, (t, 3), with ``end`` in place of ``gone``, which become one point. The planes there shall
+    meet, of -1 those at all vertices. is_free: bool (p,), as of :func:`p2wss.mesh.meeting.equations`.
+    """
+    vertex_m, triangle, kind, label = mesh
+    num_vertices, walls_stay = len(vertex_m), not is_free.any()
+    vertex, plane = planes_at(triangle, label, num_vertices)
+    at, plane_at = planes_at(joined, label, num_vertices)
+    plane_kind, normal, _ = planes_of(vertex_m, triangle, kind, label, len(is_free))
+    first_m = vertex_m.copy()
+    # either of the ends tells where its planes are, as they are linear
+    first_m[end] = vertex_m[min(end, gone)]
+    without_turns = np.zeros((0, 4, 3))
+    for turns in (False, True):
+        row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, is_free, turns)
+        if turns and not (scale != without_turns).any():
+            break
+        without_turns = scale
+        counts = np.full(num_vertices, end < 0)
+        counts[end] = True
+        point_m, apart_m = points(first_m, row, scale, at, plane_at, counts, walls_stay)
+        if apart_m.max() > _PLANAR_M:
+            continue
+        moved_m, is_moved = vertex_m.copy(), np.zeros(num_vertices, np.bool_)
+        for v in range(num_vertices):
+            place = end if v == gone else v
+            for i in range(3):
+                if abs(point_m[place, i] - vertex_m[v, i]) >= EXACT_M:
+                    moved_m[v, i], is_moved[v] = point_m[place, i], True
+        if not is_moved.any():
+            return True, moved_m
+        most_m, num_over, floors_stay = 0.0, 0, True
+        # along a plane a vertex may move further, as where roofs of nearly the same slope meet
+        for k, v in enumerate(vertex):
+            off_m = 0.0
+            for i in range(3):
+                off_m += (moved_m[v, i] - vertex_m[v, i]) * normal[plane[k], i]
+            most_m = max(most_m, abs(off_m))
+        for t in range(len(triangle)):
+            num_over += _is_turned_over(moved_m, triangle[t], normal[label[t]])
+            num_over -= _is_turned_over(vertex_m, triangle[t], normal[label[t]])
+            for corner in triangle[t]:
+                floors_stay &= kind[t] != _GROUND or not is_moved[corner]
+        # the walls on floors stay where they are not free
+        if (floors_stay or not walls_stay) and most_m <= max(_MAX_MOVE_M, short_m) and num_over <= 0:
+            return True, moved_m
+    return False, vertex_m
+
+
+@inner
+def _is_turned_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> bool:
+    x, y, z = doubled_area(vertex_m, triangle)
+    return x * normal[0] + y * normal[1] + z * normal[2] < -_NO_AREA_M2
+
+
+@entry
+def changes(
+    mesh: Triangles, num_same: int, before: Triangles, is_changed: np.ndarray
+) -> tuple[bool, np.ndarray]:
+    """(whether the same sides as before, in the same places, have no triangle beside them, not more of them have
+    several, and no edge is too short for a file that was not; the triangles that may cross others now).
+
+    The first triangles are as before; the others were those that have changed, bool (t,).
+    """
+    vertex_m, before_m = mesh.vertex_m, before.vertex_m
+    own, old = mesh.triangle[num_same:], before.triangle[is_changed]
+    num_vertices, least_m, least_before_m = len(vertex_m), np.inf, _MERGED_M
+    for corner in own:
+        for k in range(3):
+            least_m = min(least_m, _length_m(vertex_m, corner[k], corner[k - 1]))
+    for corner in before.triangle:
+        for k in range(3):
+            least_before_m = min(least_before_m, _length_m(before_m, corner[k], corner[k - 1]))
+    (start, end, num_more), (old_start, old_end, num_before) = (
+        _open_sides(own, num_vertices),
+        _open_sides(old, num_vertices),
+    )
+    is_as_closed = len(start) == len(old_start) and num_more <= num_before and least_m >= least_before_m
+    for k in range(len(start) if is_as_closed else 0):
+        is_as_closed &= start[k] == old_start[k] and end[k] == old_end[k]
+        for i in range(3):
+            is_as_closed &= vertex_m[start[k], i] == before_m[start[k], i]
+    asked, num = np.empty(len(own), np.int64), 0
+    begin, at = sorted_by(old.ravel(), num_vertices)
+    for t in range(len(own)):
+        a, b, c = own[t]
+        is_same = False
+        for each in at[begin[a] : begin[a + 1]]:
+            has_b, has_c = False, False
+            for other in old[each // 3]:
+                has_b |= other == b
+                has_c |= other == c
+            is_same |= has_b and has_c
+        for v in own[t]:
+            for i in range(3):
+                is_same &= vertex_m[v, i] == before_m[v, i]
+        if not is_same:
+            asked[num], num = num_same + t, num + 1
+    return is_as_closed, asked[:num].copy()
+
+
+@allocating
+def _open_sides(triangle: np.ndarray, num_vertices: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """(starts and ends of the sides of triangles that have none beside them, ascending; how often two triangles have
+    the same side)."""
+    corner, num_half, num, num_more = triangle.ravel(), triangle.size, 0, 0
+    ahead = np.empty(num_half, np.int64)
+    for half in range(num_half):
+        ahead[half] = corner[half + 1 if half % 3 < 2 else half - 2]
+    by_end = sorted_by(ahead, num_vertices)[1]
+    order = by_end[sorted_by(corner[by_end], num_vertices)[1]]
+    reverse, slot = np.empty(num_half, np.int64), np.empty(num_slots(num_half), np.int64)
+    find_reverses(corner, ahead, slot, reverse)
+    start, end = np.empty(num_half, np.int64), np.empty(num_half, np.int64)
+    for k, half in enumerate(order):
+        before = order[max(k - 1, 0)]
+        num_more += k > 0 and corner[half] == corner[before] and ahead[half] == ahead[before]
+        if reverse[half] < 0:
+            start[num], end[num], num = corner[half], ahead[half], num + 1
+    return start[:num].copy(), end[:num].copy(), num_more
