@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from p2wss.mesh.meeting import EXACT_M, equations, is_near, points
-from p2wss.mesh.shell_kernels import doubled_area, is_thin, planes_at, planes_of
+from p2wss.mesh.shell_kernels import Triangles, doubled_area, is_thin, planes_at, planes_of
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.groups import find_reverses, num_slots
 from p2wss.skeleton.ordering import sorted_by
@@ -20,15 +18,6 @@ _MERGED_M = 2e-3
 # a triangle is turned over if twice its area along its former normal is less than minus this
 _NO_AREA_M2 = 1e-6
 _GROUND, _WALL = int(FaceKind.GROUND), int(FaceKind.WALL)
-
-
-class Triangles(NamedTuple):
-    """Of a mesh. vertex_m: float64 (v, 3). triangle: int64 (t, 3). kind: uint8 (t,). label: int64 (t,)."""
-
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    label: np.ndarray
 
 
 @inner
@@ -161,7 +150,7 @@ def _met(
     num_vertices, walls_stay = len(vertex_m), not is_free.any()
     vertex, plane = planes_at(triangle, label, num_vertices)
     at, plane_at = planes_at(joined, label, num_vertices)
-    plane_kind, normal, _ = planes_of(vertex_m, triangle, kind, label, len(is_free))
+    plane_kind, normal, _ = planes_of(mesh, len(is_free))
     first_m = vertex_m.copy()
     # either of the ends tells where its planes are, as they are linear
     first_m[end] = vertex_m[min(end, gone)]

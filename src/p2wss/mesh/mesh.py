@@ -11,7 +11,7 @@ import numpy as np
 
 from p2wss.mesh import topology
 from p2wss.mesh.faces import Surface, surfaces_of
-from p2wss.mesh.shell_kernels import planes_at, planes_of
+from p2wss.mesh.shell_kernels import Triangles, planes_at, planes_of
 from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.types import Meshes, numbered, writable
 
@@ -101,6 +101,12 @@ class Mesh:
         return trimesh.Trimesh(self.vertex_m, self.triangle, face_attributes=attributes, process=False)
 
     @cached_property
+    def arrays(self) -> Triangles:
+        """The same for compiled code."""
+        vertex_m, triangle = writable(self.vertex_m, np.float64), writable(self.triangle, np.int64)
+        return Triangles(vertex_m, triangle, writable(self.kind, np.uint8), writable(self.label, np.int64))
+
+    @cached_property
     def corner_m(self) -> np.ndarray:
         """(t, 3, 3), the corners of the triangles."""
         return self.vertex_m.take(self.triangle, 0)
@@ -144,7 +150,7 @@ class Mesh:
     @cached_property
     def at(self) -> tuple[np.ndarray, np.ndarray]:
         """(vertices, planes), int (k,): all pairs of a vertex and a plane there, in ascending order."""
-        return planes_at(writable(self.triangle, np.int64), self.number, len(self.vertex_m))
+        return planes_at(self.arrays.triangle, self.number, len(self.vertex_m))
 
     @cached_property
     def planes(self) -> Planes:
@@ -181,9 +187,8 @@ class Planes:
     @classmethod
     def of(cls, mesh: Mesh) -> Planes:
         """The planes of a mesh (:func:`p2wss.mesh.shell_kernels.planes_of`)."""
-        kind, vertex_m = writable(mesh.kind, np.uint8), writable(mesh.vertex_m, np.float64)
         num = int(mesh.number.max(initial=-1)) + 1
-        return cls(*planes_of(vertex_m, writable(mesh.triangle, np.int64), kind, mesh.number, num))
+        return cls(*planes_of(mesh.arrays._replace(label=mesh.number), num))
 
     @property
     def is_wall(self) -> np.ndarray:

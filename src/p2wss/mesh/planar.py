@@ -12,7 +12,6 @@ from p2wss.mesh.rules import crosses_itself
 from p2wss.mesh.shell_kernels import NO_HEIGHT_M, can_merge, planes_at, thin_triangles
 from p2wss.mesh.topology import first_of_faces
 from p2wss.mesh.triangulation import triangulated_in_space
-from p2wss.skeleton.types import writable
 
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
@@ -28,7 +27,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool
     and the mesh stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are
     divided anew.
     """
-    is_shorter, tried = True, set[object]()
+    is_shorter, tried = len(mesh.triangle) > 0, set[object]()
     # after others went, and with faces divided anew, planes may meet, and an edge may go, that could not before
     while is_shorter:
         mesh = _with_planes(mesh)
@@ -51,7 +50,7 @@ def _with_planes(mesh: Mesh) -> Mesh:
     """The mesh with planar walls and roofs, if it stays valid."""
     flipped = _flipped(mesh)
     everything = np.ones(len(flipped.triangle), bool)
-    moved_m, *_ = contraction.contracted(_arrays(flipped), everything, -1, -1, 0.0, True)
+    moved_m, *_ = contraction.contracted(flipped.arrays, everything, -1, -1, 0.0, True)
     if (moved_m == flipped.vertex_m).all():
         return flipped
     result = flipped.moved(moved_m)
@@ -74,11 +73,10 @@ def _without_shortest(
     Edges that could not go are not tried again, those with the same planes at their ends in this round (``kept``), and
     those whose planes have the same vertices in any (``tried``); both are added to.
     """
-    arrays = _arrays(mesh)
-    ends, length_m = contraction.short_edges(arrays, short_m)
+    ends, length_m = contraction.short_edges(mesh.arrays, short_m)
     if not len(ends):
         return None
-    vertex_m, triangle, _, label = arrays
+    vertex_m, triangle, _, label = mesh.arrays
     vertex, plane = planes_at(triangle, label, len(vertex_m))
     begin = np.searchsorted(vertex, np.arange(len(vertex_m) + 1))
     for end, gone in ends[np.argsort(length_m, kind="stable")].tolist():
@@ -90,7 +88,7 @@ def _without_shortest(
         is_at[np.concatenate(planes)] = True
         state = around, vertex_m[vertex[is_at[plane]]].tobytes()
         if state not in tried:
-            is_beside = contraction.beside_edge(arrays, vertex, plane, end, gone, walls_stay)
+            is_beside = contraction.beside_edge(mesh.arrays, vertex, plane, end, gone, walls_stay)
             result = _without_edge(mesh, is_beside, end, gone, short_m, walls_stay)
             if result is not None:
                 return result
@@ -106,7 +104,7 @@ def _without_edge(
     to where another one is, as where four walls share an upright edge, or beyond. is_near: bool (t,), the triangles
     that may change, and those of planes that meet theirs: the others are not looked at, but for crossings."""
     vertex_m, triangle, like, num_same, num_thin = contraction.contracted(
-        _arrays(mesh), is_near, end, gone, short_m, walls_stay
+        mesh.arrays, is_near, end, gone, short_m, walls_stay
     )
     if not len(like):
         return None
@@ -117,20 +115,13 @@ def _without_edge(
         changed = _flipped(Mesh(vertex_m, triangle[near], kind[near], label[near]))
         parts = (triangle[same], changed.triangle), (kind[same], changed.kind), (label[same], changed.label)
         result = Mesh(vertex_m, *map(np.concatenate, parts))
-        if _is_thin(result)[near].sum() > _is_thin(mesh)[is_near].sum():
+        if thin_triangles(result.arrays)[near].sum() > thin_triangles(mesh.arrays)[is_near].sum():
             # the other end of a step that went, or a vertex that a wall now passes through
             result = _without_short_edges(result, NO_HEIGHT_M, walls_stay, set())
             num_same, is_near = 0, np.ones(len(mesh.triangle), bool)
-            if _is_thin(result).sum() > _is_thin(mesh).sum():
+            if thin_triangles(result.arrays).sum() > thin_triangles(mesh.arrays).sum():
                 return None
     return result if _is_as_valid(result, mesh, num_same, is_near) else None
-
-
-def _arrays(mesh: Mesh) -> contraction.Triangles:
-    """The triangles as compiled code takes them."""
-    vertex_m, triangle = writable(mesh.vertex_m, np.float64), writable(mesh.triangle, np.int64)
-    kind, label = writable(mesh.kind, np.uint8), writable(mesh.label, np.int64)
-    return contraction.Triangles(vertex_m, triangle, kind, label)
 
 
 def without_straight_vertices(mesh: Mesh) -> Mesh:
@@ -170,13 +161,13 @@ def _changes(
 ) -> tuple[bool, np.ndarray]:
     """Those of :func:`p2wss.mesh.contraction.changes`, by default of all triangles."""
     is_changed = np.ones(len(before.triangle), bool) if is_changed is None else is_changed
-    return contraction.changes(_arrays(mesh), num_same, _arrays(before), is_changed)
+    return contraction.changes(mesh.arrays, num_same, before.arrays, is_changed)
 
 
 def _flipped(mesh: Mesh) -> Mesh:
     """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
     triangle across the side has that corner, too, and is two."""
-    is_thin = _is_thin(mesh)
+    is_thin = thin_triangles(mesh.arrays)
     for t in np.flatnonzero(is_thin).tolist():
         if mesh.edge_m[t].min() <= NO_HEIGHT_M:
             continue
@@ -189,11 +180,6 @@ def _flipped(mesh: Mesh) -> Mesh:
         triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
         triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), across
         result = replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
-        if _is_thin(result).sum() < is_thin.sum() and _changes(result, mesh)[0]:
+        if thin_triangles(result.arrays).sum() < is_thin.sum() and _changes(result, mesh)[0]:
             return _flipped(result)
     return mesh
-
-
-def _is_thin(mesh: Mesh) -> np.ndarray:
-    """bool (t,): whether a triangle has no height."""
-    return np.asarray(thin_triangles(*_arrays(mesh)[:2]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from p2wss.mesh.polygon_kernels import TOUCH_M
@@ -15,6 +17,15 @@ _FOLD_RAD = 1e-3
 # a triangle of less height than this has no normal that survives the rounding of a file
 NO_HEIGHT_M = 1e-3
 _WALL = int(FaceKind.WALL)
+
+
+class Triangles(NamedTuple):
+    """Of a mesh. vertex_m: float64 (v, 3). triangle: int64 (t, 3). kind: uint8 (t,). label: int64 (t,)."""
+
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    label: np.ndarray
 
 
 @entry
@@ -89,11 +100,11 @@ def doubled_area(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[float, flo
 
 
 @entry
-def thin_triangles(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """bool (t,): whether a triangle, int64 (t, 3), has no height."""
-    result = np.empty(len(triangle), np.bool_)
-    for t in range(len(triangle)):
-        result[t] = is_thin(vertex_m, triangle[t])
+def thin_triangles(mesh: Triangles) -> np.ndarray:
+    """bool (t,): whether a triangle has no height."""
+    result = np.empty(len(mesh.triangle), np.bool_)
+    for t in range(len(mesh.triangle)):
+        result[t] = is_thin(mesh.vertex_m, mesh.triangle[t])
     return result
 
 
@@ -129,14 +140,13 @@ def planes_at(triangle: np.ndarray, label: np.ndarray, num_vertices: int) -> tup
 
 
 @both
-def planes_of(
-    vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, number: np.ndarray, num: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(kinds (p,), unit normals (p, 3), areas (p,)) of planes. number: int64 (t,), that of each triangle.
+def planes_of(mesh: Triangles, num: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(kinds (p,), unit normals (p, 3), areas (p,)) of the planes of the labels below ``num``.
 
     Normals are weighted by area, as that of a sliver alone is unreliable, and level for walls, which are upright; 0 for
     a plane without area.
     """
+    vertex_m, triangle, kind, number = mesh
     plane_kind, normal, area_m2 = np.zeros(num, np.uint8), np.zeros((num, 3)), np.empty(num)
     for t in range(len(triangle)):
         plane_kind[number[t]] = kind[t]

@@ -23,11 +23,13 @@ def triangulated(
     rings = np.asarray(shapely.linearrings(np.column_stack([place_m, vertex]), indices=ring), object)
     polygons = np.asarray(shapely.polygons(rings, indices=face_of_ring), object)
     polygons[~shapely.is_valid(polygons)] = None
-    parts, face = shapely.get_parts(shapely.constrained_delaunay_triangles(polygons), return_index=True)
-    corner = shapely.get_coordinates(parts, include_z=True).reshape(-1, 4, 3)[:, :3]
+    divided = shapely.constrained_delaunay_triangles(polygons)
+    corner = shapely.get_coordinates(divided, include_z=True).reshape(-1, 4, 3)[:, :3]
     turns_back = doubled_plan_areas(corner) < 0
     corner[turns_back] = corner[turns_back, ::-1]
-    return corner[:, :, 2].astype(np.int64), face
+    return corner[:, :, 2].astype(np.int64), np.repeat(
+        np.arange(len(divided)), shapely.get_num_geometries(divided)
+    )
 
 
 def triangulated_in_space(

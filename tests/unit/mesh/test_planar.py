@@ -134,8 +134,8 @@ def test_changes_are_those_of_a_dense_solver(num: int, num_links: int) -> None:
     assert _solved(pair, share, right).ravel() == pytest.approx(expected, abs=1e-9)
 
 
-def test_planes_stay_as_they_are_to_the_bit() -> None:
-    mesh = hip()
+@pytest.mark.parametrize("mesh", [hip(), Mesh.empty()])
+def test_planes_stay_as_they_are_to_the_bit(mesh: Mesh) -> None:
     assert with_exact_faces(mesh) is mesh
 
 

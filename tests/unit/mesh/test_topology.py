@@ -7,6 +7,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from p2wss.mesh import Mesh
 from p2wss.mesh.shell_kernels import can_merge, thin_triangles
 from p2wss.mesh.topology import reverses
 
@@ -46,4 +47,5 @@ def test_which_edges_can_go() -> None:
 def test_triangles_thinner_than_a_height() -> None:
     vertex_m = np.array([[0, 0, 0], [10, 0, 0], [4, 0, 2e-3], [4, 5e-4, 0]], float)
     triangle = np.array([[0, 1, 2], [0, 1, 3], [3, 1, 0]])
-    assert thin_triangles(vertex_m, triangle).tolist() == [False, True, True]
+    mesh = Mesh(vertex_m, triangle, np.zeros(3, np.uint8), np.arange(3))
+    assert thin_triangles(mesh.arrays).tolist() == [False, True, True]
