@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -42,23 +41,10 @@ def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.nd
     return np.asarray(a * xy_m[:, 0] + b * xy_m[:, 1] + c)
 
 
-def rows_of(label: np.ndarray, num_planes: int) -> list[np.ndarray]:
-    """Of each plane the rows of its points, ascending. label: (m,), the plane of each point, -1 for none."""
-    order = np.argsort(label, kind="stable")
-    begin = np.searchsorted(label[order], np.arange(num_planes + 1)).tolist()
-    return [order[first:last] for first, last in pairwise(begin)]
-
-
 def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     """Distances (m, k) of points (m, 3) from planes (k, 3), metres."""
     off_m = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])
     return np.asarray(off_m / np.sqrt(1 + (plane[:, :2] ** 2).sum(axis=1)))
-
-
-def fitted(point_m: np.ndarray, rows: np.ndarray, noise_m: float) -> np.ndarray:
-    """The plane (3,) of some of the points (m, 3) by reweighted least squares, which come near to least absolute
-    residuals. rows: int64 (k,)."""
-    return np.asarray(_fit(point_m, rows, len(rows), noise_m))
 
 
 @both
@@ -175,8 +161,9 @@ def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -
 
 
 @both
-def _fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
-    """The plane of the points in the first ``num`` of ``rows``; a level one of two."""
+def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
+    """The plane (3,) of the points (m, 3) in the first ``num`` of ``rows``, int64 (k,), by reweighted least squares,
+    which come near to least absolute residuals; a level one of two."""
     centre = np.zeros(3)
     for t in range(num):
         for k in range(3):
@@ -285,7 +272,7 @@ def _grown(
                 rows[count], count = other, count + 1
         if count < neighbour.shape[1] // 2:
             continue
-        current = _fit(point_m, rows, count, settings.noise_m)
+        current = fit(point_m, rows, count, settings.noise_m)
         rows[0], count, seen[seed], reached, next_fit = seed, ZERO + 1, seed, 0, min_points
         while reached < count:
             row, reached = rows[reached], reached + 1
@@ -298,18 +285,18 @@ def _grown(
                 if is_along and _distance(current, point_m[other]) < settings.distance_m:
                     seen[other], rows[count], count = seed, other, count + 1
             if count >= next_fit:
-                current, next_fit = _fit(point_m, rows, count, settings.noise_m), count + count // 2
+                current, next_fit = fit(point_m, rows, count, settings.noise_m), count + count // 2
         least = _fewest(current, min_points, settings)
         if count < least:
             continue
-        current, near = _fit(point_m, rows, count, settings.noise_m), ZERO
+        current, near = fit(point_m, rows, count, settings.noise_m), ZERO
         for t in range(count):
             if _distance(current, point_m[rows[t]]) < settings.distance_m:
                 rows[near], near = rows[t], near + 1
         if near >= least:
             for t in range(near):
                 label[rows[t]] = num_planes
-            plane[num_planes] = _fit(point_m, rows, near, settings.noise_m)
+            plane[num_planes] = fit(point_m, rows, near, settings.noise_m)
             num_planes += 1
     return plane[:num_planes].copy(), label
 
@@ -392,7 +379,7 @@ def _largest(
             is_tried[seeds] = True
             continue
         label[best_rows[:best_count]] = first + num_planes
-        plane[num_planes] = _fit(point_m, best_rows, best_count, settings.noise_m)
+        plane[num_planes] = fit(point_m, best_rows, best_count, settings.noise_m)
         num_planes += 1
 
 
@@ -416,7 +403,7 @@ def _settled(
         for number in range(len(plane) if turn < settings.num_turns - 1 else 0):
             rows = order[begin[number + 1] : begin[number + 2]]
             if len(rows) > 2:
-                plane[number] = _fit(point_m, rows, len(rows), settings.noise_m)
+                plane[number] = fit(point_m, rows, len(rows), settings.noise_m)
     return plane, label
 
 
@@ -456,7 +443,7 @@ def _merged(
         for new in np.flatnonzero(is_new):
             i, j = pair[new] // num, pair[new] % num
             rows = np.concatenate((rows_of[i], rows_of[j]))
-            joint[new], is_new[new] = _fit(point_m, rows, len(rows), settings.noise_m), False
+            joint[new], is_new[new] = fit(point_m, rows, len(rows), settings.noise_m), False
             worse_m[new] = max(
                 mean_distance(joint[new], point_m, rows_of[i]) - residual_m[i],
                 mean_distance(joint[new], point_m, rows_of[j]) - residual_m[j],
@@ -482,7 +469,7 @@ def _merged(
     result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)
     for rows in rows_of:
         if len(rows):
-            result[num_roofs] = _fit(point_m, rows, len(rows), settings.noise_m)
+            result[num_roofs] = fit(point_m, rows, len(rows), settings.noise_m)
             is_large = len(rows) >= _fewest(result[num_roofs], min_points, settings)
             if is_large and np.hypot(result[num_roofs, 0], result[num_roofs, 1]) < settings.steepest:
                 new_label[rows], num_roofs = num_roofs, num_roofs + 1

@@ -251,11 +251,8 @@ def _between(
     ends = zip(shown[:, :2], (-shown[:, 2]).tolist(), low_m, high_m, strict=True)
     normal = _normals(along)
     num_off = np.bincount(side[is_off], minlength=2 * len(pair)).reshape(-1, 2)
-    borders = np.split(border_m[is_off], np.cumsum(num_off.sum(axis=1))[:-1])
-    steps = list[Line]()
-    for both, (num_one, num_other) in zip(borders, num_off.tolist(), strict=False):
-        if min(num_one, num_other) >= _MIN_BORDER:
-            steps += _steps(both, num_one, normal, settings)
+    direction, line = _steps(border_m[is_off], num_off, normal, settings.wrong_share, settings.reach_m)
+    steps = [Line(normal[i], *each) for i, each in zip(direction.tolist(), line.tolist(), strict=True)]
     return [Line(*each) for each in ends], steps
 
 
@@ -321,18 +318,36 @@ def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
     return _Links(np.column_stack(np.divmod(pairs, size)), pair_of, link)
 
 
-def _steps(both: np.ndarray, num_one: int, normal: np.ndarray, settings: Drawing) -> list[Line]:
-    """Lines across the given directions (d, 2) that have the points of one side, the first ``num_one`` of both (m, 2),
-    on one hand and the others on the other."""
-    place = both @ normal.T
-    is_other = np.argsort(place, axis=0, kind="stable") >= num_one
-    num_wrong = (2 * np.cumsum(is_other, axis=0) + (num_one - np.arange(1, len(both) + 1))[:, None])[:-1]
-    best, num_fewest = num_wrong.argmin(axis=0), settings.wrong_share * min(num_one, len(both) - num_one)
-    result = []
-    for i in np.flatnonzero(num_wrong.min(axis=0) < num_fewest).tolist():
-        line = Line(normal[i], float(np.sort(place[:, i])[best[i] : best[i] + 2].mean()))
-        result.append(line.along(both, settings.reach_m))
-    return result
+@entry
+def _steps(
+    border_m: np.ndarray, num_off: np.ndarray, normal: np.ndarray, wrong_share: float, reach_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(numbers (l,) of normals (d, 2), offset, low and high end (l, 3)) of the lines across them that have the places
+    of one plane on one hand and those of the other on the other, but for ``wrong_share`` of the fewer. border_m:
+    (m, 2), the places of each pair of planes. num_off: (p, 2), how many are of its first and of its second plane."""
+    most, first, num = len(num_off) * len(normal), 0, 0
+    direction, line = np.empty(most, np.int64), np.empty((most, 3))
+    for num_one, num_other in num_off:
+        rows, first = border_m[first : first + num_one + num_other], first + num_one + num_other
+        for d in range(len(normal) if min(num_one, num_other) >= _MIN_BORDER else 0):
+            (across_x, across_y), place_m = normal[d], np.empty(len(rows))
+            low_m, high_m = np.inf, -np.inf
+            for k in range(len(rows)):
+                place_m[k] = rows[k, 0] * across_x + rows[k, 1] * across_y
+                along_m = rows[k, 1] * across_x - rows[k, 0] * across_y
+                low_m, high_m = min(low_m, along_m), max(high_m, along_m)
+            order = np.argsort(place_m, kind="mergesort")
+            # wrong are places of the second plane before the line, and of the first behind it
+            num_wrong, num_fewest, best = num_one, wrong_share * min(num_one, num_other), -1
+            for k in range(len(rows) - 1):
+                num_wrong += 1 if order[k] >= num_one else -1
+                if num_wrong < num_fewest:
+                    num_fewest, best = num_wrong, k
+            if best >= 0:
+                line[num, 0] = (place_m[order[best]] + place_m[order[best + 1]]) / 2
+                line[num, 1], line[num, 2] = low_m - reach_m, high_m + reach_m
+                direction[num], num = d, num + 1
+    return direction[:num].copy(), line[:num].copy()
 
 
 @entry

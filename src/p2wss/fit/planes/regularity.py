@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from p2wss.fit.directions import turn_between
-from p2wss.fit.planes.detection import RoofPlanes, fitted, heights, mean_distance, rows_of
-from p2wss.fit.points import median
+from p2wss.fit.planes.detection import RoofPlanes, fit, mean_distance
 from p2wss.fit.settings import Detection
-from p2wss.skeleton.angles import bearings
+from p2wss.skeleton.compiled import allocating, entry
+from p2wss.skeleton.ordering import median, sorted_by
 
 # tangents: of a slope that may be level, and of a difference between slopes that may be equal
 _NEARLY_LEVEL, _NEARLY_EQUAL = 0.14, 0.06
@@ -22,70 +21,95 @@ def regular(
     planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float], settings: Detection
 ) -> np.ndarray:
     """Planes (k, 3) near to those detected, some of them the same. along: directions of the footprint, radians."""
-    slack_m = settings.simpler_m
-    rows = rows_of(planes.label, len(planes.plane))
-    result = planes.plane.copy()
+    return np.asarray(_regular(planes.plane, planes.label, point_m, np.array(along, float), settings))
 
-    def mean_m(plane: np.ndarray, i: int) -> float:
-        return float(mean_distance(plane, point_m, rows[i]))
 
-    for i, plane in enumerate(planes.plane):
-        own, most_m = point_m[rows[i]], mean_m(plane, i) + slack_m
-        level = np.array([0.0, 0.0, median(own[:, 2])])
-        if np.hypot(*plane[:2]) < _NEARLY_LEVEL and mean_m(level, i) < most_m:
+@entry
+def _regular(
+    plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, along: np.ndarray, settings: Detection
+) -> np.ndarray:
+    begin, order = sorted_by(label, len(plane))
+    rows_of = [order[begin[i] : begin[i + 1]] for i in range(len(plane))]
+    result = plane.copy()
+    for i, rows in enumerate(rows_of):
+        most_m = mean_distance(plane[i], point_m, rows) + settings.simpler_m
+        level = _at_median(np.zeros(3), point_m, rows)
+        if (
+            np.hypot(plane[i, 0], plane[i, 1]) < _NEARLY_LEVEL
+            and mean_distance(level, point_m, rows) < most_m
+        ):
             result[i] = level
             continue
-        bearing = bearings(plane[:2])
-        turns = turn_between(bearing, np.array(along))
-        turn = turns[np.abs(turns).argmin()]
+        bearing = np.arctan2(plane[i, 1], plane[i, 0])
+        # from the nearest direction, modulo a quarter, within an eighth either way
+        turn = np.inf
+        for each in along:
+            here = (bearing - each + np.pi / 4) % (np.pi / 2) - np.pi / 4
+            turn = here if abs(here) < abs(turn) else turn
         if abs(turn) < _NEARLY_ALONG:
-            turned = _along(own, bearing - turn, settings.noise_m)
-            if mean_m(turned, i) < most_m:
+            turned = _along(point_m, rows, bearing - turn, settings.noise_m)
+            if mean_distance(turned, point_m, rows) < most_m:
                 result[i] = turned
-    result = _equally_steep(result, point_m, rows, slack_m)
-    return result[_same(result, point_m, rows, slack_m)]
+    by_size = np.argsort(-np.diff(begin), kind="mergesort")
+    result = _equally_steep(result, point_m, rows_of, by_size, settings.simpler_m)
+    return result[_same(result, point_m, rows_of, by_size, settings.simpler_m)]
 
 
-def _along(point_m: np.ndarray, bearing: float, noise_m: float) -> np.ndarray:
-    """The plane (3,) of points (m, 3) that rises along a bearing, radians."""
-    unit = np.array([np.cos(bearing), np.sin(bearing)])
-    profile_m = np.column_stack([point_m[:, :2] @ unit, np.zeros(len(point_m)), point_m[:, 2]])
-    rise, _, height_m = fitted(profile_m, np.arange(len(profile_m)), noise_m)
-    return np.array([*rise * unit, height_m])
+@allocating
+def _at_median(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """A plane (3,) raised so that it is above as many of the points in ``rows`` as it is below."""
+    above_m = np.empty(len(rows))
+    for k, row in enumerate(rows):
+        above_m[k] = point_m[row, 2] - point_m[row, 0] * plane[0] - point_m[row, 1] * plane[1]
+    return np.array([plane[0], plane[1], median(above_m, len(rows)) if len(rows) else plane[2]])
 
 
+@allocating
+def _along(point_m: np.ndarray, rows: np.ndarray, bearing: float, noise_m: float) -> np.ndarray:
+    """The plane (3,) of the points in ``rows`` that rises along a bearing, radians."""
+    x, y, profile_m = np.cos(bearing), np.sin(bearing), np.zeros((len(rows), 3))
+    for k, row in enumerate(rows):
+        profile_m[k, 0], profile_m[k, 2] = point_m[row, 0] * x + point_m[row, 1] * y, point_m[row, 2]
+    rise, _, height_m = fit(profile_m, np.arange(len(rows)), len(rows), noise_m)
+    return np.array([rise * x, rise * y, height_m])
+
+
+@allocating
 def _equally_steep(
-    plane: np.ndarray, point_m: np.ndarray, rows: Sequence[np.ndarray], slack_m: float
+    plane: np.ndarray, point_m: np.ndarray, rows_of: list[np.ndarray], by_size: np.ndarray, slack_m: float
 ) -> np.ndarray:
     """Planes of which those that are nearly as steep as a larger one are exactly as steep."""
     steep = np.hypot(plane[:, 0], plane[:, 1])
     result, is_set = plane.copy(), steep < _NEARLY_LEVEL / 10
-    for i in sorted(range(len(plane)), key=lambda i: -len(rows[i])):
-        if is_set[i]:
-            continue
-        is_set[i] = True
-        for j in np.flatnonzero(~is_set & (np.abs(steep - steep[i]) < _NEARLY_EQUAL)).tolist():
-            own = point_m[rows[j]]
-            equal = plane[j] * np.array([steep[i] / steep[j], steep[i] / steep[j], 0.0])
-            equal[2] = median(own[:, 2] - own[:, :2] @ equal[:2])
-            worse_m = mean_distance(equal, point_m, rows[j]) - mean_distance(plane[j], point_m, rows[j])
+    for i in by_size:
+        for j in range(0 if is_set[i] else len(plane)):
+            if j == i or is_set[j] or abs(steep[j] - steep[i]) >= _NEARLY_EQUAL:
+                continue
+            equal = _at_median(plane[j] * (steep[i] / steep[j]), point_m, rows_of[j])
+            worse_m = mean_distance(equal, point_m, rows_of[j]) - mean_distance(plane[j], point_m, rows_of[j])
             if worse_m < slack_m:
                 result[j], is_set[j] = equal, True
+        is_set[i] = True
     return result
 
 
-def _same(plane: np.ndarray, point_m: np.ndarray, rows: Sequence[np.ndarray], slack_m: float) -> np.ndarray:
+@allocating
+def _same(
+    plane: np.ndarray, point_m: np.ndarray, rows_of: list[np.ndarray], by_size: np.ndarray, slack_m: float
+) -> np.ndarray:
     """int (k,): of each plane the number of the larger one that is as near to its points, or its own."""
-    same, larger, size = np.arange(len(plane)), list[int](), np.array([*map(len, rows)])
-    middle_m = np.add.reduceat(point_m[np.concatenate(rows), :2], np.cumsum(size) - size) / size[:, None]
-    height_m = heights(plane, middle_m)
-    apart_m = np.abs(height_m - np.diag(height_m)[:, None]).tolist()
-    for j in np.argsort(-size, kind="stable").tolist():
-        most_m = mean_distance(plane[j], point_m, rows[j]) + slack_m
-        for i in larger:
-            if apart_m[j][i] < most_m and mean_distance(plane[i], point_m, rows[j]) < most_m:
+    same, num_larger = np.arange(len(plane)), 0
+    larger = np.empty(len(plane), np.int64)
+    for j in by_size:
+        rows = rows_of[j]
+        x, y = point_m[rows, 0].mean(), point_m[rows, 1].mean()
+        own_m = plane[j, 0] * x + plane[j, 1] * y + plane[j, 2]
+        most_m = mean_distance(plane[j], point_m, rows) + slack_m
+        for i in larger[:num_larger]:
+            apart_m = abs(plane[i, 0] * x + plane[i, 1] * y + plane[i, 2] - own_m)
+            if apart_m < most_m and mean_distance(plane[i], point_m, rows) < most_m:
                 same[j] = i
                 break
-        else:
-            larger.append(j)
+        if same[j] == j:
+            larger[num_larger], num_larger = j, num_larger + 1
     return same
