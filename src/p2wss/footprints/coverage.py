@@ -18,12 +18,12 @@ from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, previous_in_ring, without_repeats
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import Polygons, cross, next_in_ring
+from p2wss.skeleton.types import Polygons, cross, distinct, next_in_ring, numbered
 
 # a vertex that is nearer to the line between its neighbours is within an edge
 _WITHIN_EDGE_M = 1e-6
-# one that is nearer than this moves there, as do up to so many side by side: solids have no wall that turns by less
-_STRAIGHT_M, _MAX_INNER, _NUM_ROUNDS = 5e-3, 8, 6
+# one that is nearer than this moves there: solids have no wall that turns by less
+_STRAIGHT_M, _NUM_ROUNDS = 5e-3, 6
 # of walls at a vertex, and of a vertex from the line between its neighbours: with less it goes
 _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
 # of the angle between walls of which it is known where they meet
@@ -201,26 +201,32 @@ class _Rings:
     def straightened(self, xy_m: np.ndarray) -> np.ndarray:
         """The places of the nodes after those at which a wall hardly turns have moved onto the line between its ends,
         of the longest where there are several. Such a node is a corner of a neighbouring building: its wall ends there
-        as before, and this one is a plane."""
-        xy_m = xy_m.copy()
+        as before, and this one is a plane. Walls of two buildings that have an edge in common are one, as otherwise
+        each would move its nodes and bend the other."""
+        xy_m, num = xy_m.copy(), len(xy_m)
+        before, after = previous_in_ring(self.ring_offset), next_in_ring(self.ring_offset)
+        pair, edge = numbered(np.sort(np.column_stack([self.node, self.node[after]]), axis=1) @ [num, 1])
         for _ in range(_NUM_ROUNDS):
-            is_inner = self._is_inner(xy_m, _STRAIGHT_M)
-            row, end = np.flatnonzero(is_inner), []
-            for beside in (previous_in_ring(self.ring_offset), next_in_ring(self.ring_offset)):
-                corner = beside[row]
-                for _ in range(_MAX_INNER):
-                    corner = np.where(is_inner[corner], beside[corner], corner)
-                end.append(xy_m[self.node[corner]])
-            along = end[1] - end[0]
+            row = np.flatnonzero(self._is_inner(xy_m, _STRAIGHT_M))
+            linked = edge[np.column_stack([before[row], row])]
+            wall, member = num * groups(len(pair), linked), distinct(linked)
+            # at an end of a wall is one edge of it
+            end, count = np.unique(wall[member] + np.divmod(pair[member], num), return_counts=True)
+            end, here = end[count == 1], wall[linked[:, 0]]
+            first, last = np.searchsorted(end, here), np.searchsorted(end, here + num) - 1
+            # that line may be too far away, as of a wall that turns a little more than once
+            is_wall = first < last
+            ends = np.stack([end[first[is_wall]] % num, end[last[is_wall]] % num])
+            start_m, end_m = xy_m[np.hstack([ends, self.node[[before[row], after[row]]]])]
+            along, node = end_m - start_m, self.node[np.append(row[is_wall], row)]
             length_m = np.hypot(*along.T)
-            node = self.node[row]
-            share = ((xy_m[node] - end[0]) * along).sum(axis=1) / length_m**2
-            foot_m = end[0] + share[:, None] * along
+            share = ((xy_m[node] - start_m) * along).sum(axis=1) / length_m**2
+            foot_m = start_m + share[:, None] * along
             step_m = np.hypot(*(foot_m - xy_m[node]).T)
             order = np.lexsort((*foot_m.T, -length_m, node))
             order = order[(step_m < _STRAIGHT_M)[order]]
-            first = order[np.unique(node[order], return_index=True)[1]]
-            xy_m[node[first]] = foot_m[first]
+            nearest = order[np.unique(node[order], return_index=True)[1]]
+            xy_m[node[nearest]] = foot_m[nearest]
         return xy_m
 
     def without_inner(self, xy_m: np.ndarray) -> _Rings:

@@ -269,6 +269,15 @@ def test_a_corner_of_a_neighbour_that_is_hardly_off_a_wall_moves_onto_it() -> No
     assert overlap_m2(cleaned) == 0
 
 
+def test_walls_of_two_houses_that_have_a_short_stretch_in_common_are_straight_together() -> None:
+    """Each has a corner within the other's wall, 3 mm off: moved one by one, each would bend the other wall."""
+    below = np.array([[0, 0], [10.3, 0], [10.3, 7.997], [0, 8]])
+    above = np.array([[10, 8.003], [20, 8], [20, 15], [10, 15]])
+    cleaned = clean([shapely.Polygon(below), shapely.Polygon(above)], Scenes())
+    assert [len(shape.exterior.coords) - 1 for shape in cleaned] == [4, 4]
+    assert wall_m(*cleaned) == pytest.approx(0.3, abs=1e-6)
+
+
 def test_blocks_are_those_that_touch() -> None:
     shapes = np.array(
         [shapely.box(0, 0, 5, 5), shapely.box(30, 0, 35, 5), shapely.box(5.09, 0, 9, 5), shapely.Polygon()]
