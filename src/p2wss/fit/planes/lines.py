@@ -24,8 +24,8 @@ _PARALLEL, _SLOPED = 0.06, 0.05
 # metres: a larger step between two planes is one
 _STEP_M = 0.25
 _MIN_BORDER = 3
-# metres: what is so near to a line is on it
-_ON_M = 1e-3
+# metres: what is so near to a line is on it; with a millimetre, walls would be hundredths of one off their planes
+_ON_M = 1e-6
 # metres: as they are, 39 of 6,000 grids in whole millimetres fail; moved by this, none
 _SHAKE_M = 1e-3
 # points whose neighbours are found together
