@@ -142,8 +142,9 @@ class Drawing(NamedTuple):
     off_m: float = 0.6
     # metres: a step so near to an edge of the footprint, or to another step, is on it
     snap_m: float = 0.35
-    # metres: a step that passes so near by a corner of the footprint goes through it
-    corner_m: float = 0.05
+    # metres: a step that passes so near by a corner of the footprint goes through it, as walls on the floor stay,
+    # however narrow; swept: with more, blocks get more triangles
+    corner_m: float = 0.15
     # multiples of the distance between points: at least so long are the first two above, the third and the fourth, as
     # points tell no two lines apart that are nearer; swept on thinned clouds
     num_gaps: float = 3.0

@@ -463,7 +463,7 @@ def test_lines_halfway_between_places_of_the_grid_leave_no_gap() -> None:
     assert len(cells.area_m2) == 41 * 4 and cells.area_m2.sum() == pytest.approx(200 * 128)
 
 
-@pytest.mark.parametrize("askew_m", [0.03, 6e-4])
+@pytest.mark.parametrize("askew_m", [0.12, 0.03, 6e-4])
 def test_steps_go_through_the_corners_that_they_pass_by(askew_m: float) -> None:
     """Of two wings that stand a hair askew, between their inner corners, with so much between the lines of their
     walls."""
