@@ -193,6 +193,18 @@ def test_heights_that_differ_by_a_tenth_of_a_metre_are_one() -> None:
     )
 
 
+def test_an_inner_wall_turns_to_the_front_of_a_neighbour() -> None:
+    """It goes on from a front and ends 15 mm beside the neighbour's: at the other end, it cannot shift."""
+    high = solid("high", shapely.Polygon([(0, -3), (6, -3), (6, 5), (0, 4.985)]), 8.0)
+    low = solid("low", shapely.Polygon([(0, 4.985), (6, 5), (9, 5.0075), (9, 12), (0, 12)]), 4.0)
+    house = skins(dict([high, low]))[0].mesh
+    # the wall beside the neighbour is one
+    house = replace(house, label=np.where((house.corner_m[..., 0] == 0).all(axis=1), 100, house.label))
+    (skin,) = skins({"A": house.part(slice(None)), "B": solid("B", shapely.box(-8, 5, 0, 12), 6.0).mesh})
+    assert_closed(skin)
+    assert skin.mesh.edge_m.min() > 1
+
+
 def test_some_steps_stay_where_vertices_would_move_too_far() -> None:
     steps = [solid(str(k), shapely.box(8 * k, 0, 8 * k + 8, 10), 5 + 0.09 * k) for k in range(5)]
     (skin,) = skins(dict(steps))
