@@ -48,8 +48,8 @@ def with_meeting_planes(
     planes of each vertex are from it, (v,), where they cannot).
 
     place: int (v,): vertices of one number become one point. more: (vertex, plane of ``mesh.planes``), further planes
-    through the places of vertices. Roofs may tilt, and walls between roofs shift; floors and the walls on them stay.
-    Conditions are linear in the changes of the planes while vertices stay; as they follow their planes, the least
+    through the places of vertices. Roofs may tilt, and walls between roofs shift and turn; floors and the walls on them
+    stay. Conditions are linear in the changes of the planes while vertices stay; as they follow their planes, the least
     squares are solved a few times.
     """
     planes, (vertex, plane), num = mesh.planes, mesh.at, len(mesh.planes.kind)
@@ -81,7 +81,7 @@ def _meeting_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Those of :func:`points`. first: int64 (n,), a vertex of each place. vertex, plane: pairs at vertices. at,
     plane_at: pairs at places. kind, normal: of the planes."""
-    row, scale = equations(vertex_m, vertex, plane, kind, normal, np.zeros(len(kind), np.bool_), False)
+    row, scale = equations(vertex_m, vertex, plane, kind, normal, np.zeros(len(kind), np.bool_), True)
     return points(vertex_m[first], row, scale, at, plane_at, np.ones(len(first), np.bool_), False)
 
 

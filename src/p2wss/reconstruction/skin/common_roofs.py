@@ -60,9 +60,7 @@ def with_common_roofs(solids: Sequence[Mesh]) -> list[Mesh]:
             (s.vertices[0], int(one_plane[s.planes[0]])) for s in steps if len(s.vertices) == len(s.planes)
         ]
         whole = replace(mesh, label=one_plane[mesh.number])
-        moved, apart_m = with_meeting_planes(
-            whole, groups(len(building), _pairs(linked)), through, turns=True
-        )
+        moved, apart_m = with_meeting_planes(whole, groups(len(building), _pairs(linked)), through)
         is_bad = apart_m > _APART_M
         # along a plane a vertex may move further, as where roofs of nearly the same slope meet
         off_m = ((moved.vertex_m - mesh.vertex_m)[vertex_at] * mesh.planes.normal[plane_at]).sum(axis=1)
