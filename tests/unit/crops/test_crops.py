@@ -217,6 +217,28 @@ def test_points_without_class_show_no_ground_where_none_around_has_class_ground(
     assert np.isnan(ground_height(join(chimneys, seen), polygons)[1]).all()
 
 
+def test_strays_of_class_ground_on_roofs_are_no_ground():
+    """Every tenth point of roofs has class ground, and the ground none; or it is not there, as in a cloud that was cut
+    out along footprints."""
+    polygons = polygon_arrays.to_polygons([shapely.box(10, 10, 20, 20)])
+    roofs = grid_cloud(lambda u, v: 29 + 0.01 * (u * v % 7), (20.5, 28), (9, 40), classes=1)
+    roofs.classification[::10] = 2
+    street = join(
+        grid_cloud(lambda u, v: 0 * u + 20, (0, 9), classes=1),
+        grid_cloud(lambda u, v: 0 * u + 20, (9, 40), (0, 9), classes=1),
+    )
+    z_m, sd_m = ground_height(join(roofs, street), polygons)
+    assert z_m[0] == pytest.approx(20, abs=0.5) and sd_m[0] > 1
+    # a guess, on the roofs
+    z_m, sd_m = ground_height(roofs, polygons)
+    assert z_m[0] == pytest.approx(29, abs=0.1) and sd_m[0] >= 0
+    # roofs say nothing about the ground below them
+    street.classification[:] = 2
+    roofs.classification[:] = 1
+    z_m, sd_m = ground_height(join(roofs, street), polygons)
+    assert z_m[0] == 20 and np.isnan(sd_m[0])
+
+
 def test_ground_without_classes_is_low():
     box = shapely.box(10, 10, 20, 20)
     ground = grid_cloud(lambda u, v: 0 * u + 20, (8, 22), (8, 22), classes=0)

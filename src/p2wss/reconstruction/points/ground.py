@@ -18,7 +18,7 @@ from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
 AROUND, TERRAIN, LOWEST, STOREY = "around", "terrain", "lowest-points", "storey"
-# and where it is not seen: the lowest points around, none of which has class ground; those of the building
+# and where it is not seen: the lowest points around, hardly any of which has class ground; those of the building
 UNSEEN = UNCLASSIFIED, OWN = "unclassified-points", "own-points"
 
 
