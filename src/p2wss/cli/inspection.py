@@ -224,13 +224,14 @@ def _cloud(path: Path) -> Facts:
     header, classes = read_header(path), count_classes(path)
     if classes.total() != header.point_count:
         raise InputError(f"{path}: truncated: {classes.total()} of {header.point_count} points")
-    area_m2 = float(np.prod(header.maxs[:2] - header.mins[:2]))
+    bounds = bounds_of(header)
+    area_m2 = 0.0 if bounds is None else float(np.prod(header.maxs[:2] - header.mins[:2]))
     is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
     return {
         "kind": "point cloud, COPC" if is_copc else f"point cloud, {path.suffix[1:].upper()}",
         "version": f"LAS {header.version}, point format {header.point_format.id}",
         "crs": _crs(crs_of(header)),
-        "bounds": list(bounds_of(header)),
+        "bounds": bounds and list(bounds),
         "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
         "num_points": header.point_count,
         "points per m2 of the bounds": round(header.point_count / area_m2, 2) if area_m2 > 0 else None,

@@ -78,8 +78,8 @@ _NOTHING = Cloud(
 
 @dataclass(frozen=True)
 class CloudHeader:
-    """What the header of a file states. bounds: None where it states none. heights: vertical CRS of its heights, which
-    may be stated without a CRS. doubts: what is wrong with its CRS, a line each."""
+    """What the header of a file states. bounds: None where it states none, or others than those of its points. heights:
+    vertical CRS of its heights, which may be stated without a CRS. doubts: what is wrong with it, a line each."""
 
     path: Path
     num_points: int
@@ -115,16 +115,22 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
     headers: list[CloudHeader] = []
     steps: dict[int, tuple[CloudHeader, np.ndarray]] = {}
     for path in paths:
-        with open_cloud(path) as reader:
+        # without threads, which would decode more than a point
+        with open_cloud(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
             header = reader.header
             stated = stated_crs(header)
-        x_min, y_min, x_max, y_max = bounds = bounds_of(header)
-        has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
+            first = reader.read_points(1)
+        bounds = bounds_of(header)
         count, doubts = int(header.point_count), stated.doubts
+        box = (*header.mins[:2].tolist(), *header.maxs[:2].tolist())
+        place = bounds_of_points(first.x, first.y)
+        if place is not None and not are_near(box, place, _HEADER_MARGIN_M):
+            bounds = None
+            doubts += ("the header states bounds in which its first point is not; all its points are read",)
         num_held = _num_held(header, path.stat().st_size)
         if num_held > count:
             doubts += (f"the header states {count:,} points of {num_held:,}; the others are not read",)
-        known = CloudHeader(path, count, stated.crs, bounds if has_bounds else None, stated.heights, doubts)
+        known = CloudHeader(path, count, stated.crs, bounds, stated.heights, doubts)
         twin, step = steps.setdefault(count, (known, header.scales))
         if _is_rounded(known, twin, header.scales, step):
             text = (

@@ -62,7 +62,7 @@ def extent_m(path: Path) -> Bounds | None:
         return None
     if head.startswith(b"LASF") and len(head) >= _LAS_EXTENT_AT + _LAS_EXTENT.size:
         x_max, x_min, y_max, y_min = _LAS_EXTENT.unpack_from(head, _LAS_EXTENT_AT)
-        return x_min, y_min, x_max, y_max
+        return (x_min, y_min, x_max, y_max) if x_max > x_min and y_max > y_min else None
     if path.suffix.lower() == ".asc":
         return _asc_extent_m(head)
     return None

@@ -108,6 +108,8 @@ def _in(x: np.ndarray, y: np.ndarray, bounds: Bounds) -> np.ndarray:
 def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
     stated = bounds_of(read_header(path))
+    if stated is None:
+        return False
     low_x, low_y, high_x, high_y = grown(bounds, _EDGE_M)
     inside = stated[0] >= low_x and stated[1] >= low_y and stated[2] <= high_x and stated[3] <= high_y
     return inside and not any(are_near(stated, hole, -_EDGE_M) for hole in holes)

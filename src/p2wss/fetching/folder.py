@@ -208,6 +208,8 @@ def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> Non
 
 
 def _overlaps(path: Path, bounds: Bounds) -> bool:
-    """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre."""
+    """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre; that of a cloud which states none
+    may."""
     header = read_header(path)
-    return header.point_count > 0 and are_near(bounds_of(header), bounds, -0.5)
+    stated = bounds_of(header)
+    return header.point_count > 0 and (stated is None or are_near(stated, bounds, -0.5))

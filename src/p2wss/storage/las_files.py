@@ -13,6 +13,7 @@ from typing import IO, Any, BinaryIO
 
 import laspy
 import lazrs
+import numpy as np
 
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
@@ -52,9 +53,12 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
             yield reader
 
 
-def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float]:
-    """x_min, y_min, x_max and y_max as a header states them."""
-    return *header.mins[:2].tolist(), *header.maxs[:2].tolist()
+def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float] | None:
+    """x_min, y_min, x_max and y_max as a header states them; None of one that states none, or the wrong way round."""
+    is_stated = (
+        np.isfinite([header.mins[:2], header.maxs[:2]]).all() and (header.maxs > header.mins)[:2].all()
+    )
+    return (*header.mins[:2].tolist(), *header.maxs[:2].tolist()) if is_stated else None
 
 
 def check_header(path: str | Path) -> tuple[int, int, int] | None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from p2wss.clouds.reading import read_headers
+from p2wss.data.listing import extent_m, may_overlap
 from p2wss.storage.errors import InputError
 
 
@@ -28,6 +29,36 @@ def test_a_header_that_states_fewer_points_than_the_file_holds_is_told(
     (header,) = read_headers([path])
     told = [each for each in header.doubts if "1,001" in each and "500" in each]
     assert len(told) == is_told and header.num_points == 1000 * share
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize(
+    ("stated", "is_told"),
+    [
+        ((9, 0, 19, 10), False),
+        ((9.4, -0.4, 19, 10), False),  # rounded
+        ((0, 0, 0, 0), True),
+        ((9, 9, 0, 0), True),
+        ((np.nan,) * 4, True),
+        ((-5000, -4991, 10, 19), True),  # of points that were moved
+    ],
+)
+def test_bounds_in_which_no_point_is_are_told_and_not_used(
+    tmp_path: Path, stated: tuple[float, ...], is_told: bool, suffix: str
+) -> None:
+    cloud = laspy.create(point_format=1, file_version="1.2")
+    cloud.x, cloud.y, cloud.z = np.arange(30.0).reshape(3, 10)
+    path = tmp_path / f"cloud{suffix}"
+    cloud.write(path)
+    content = bytearray(path.read_bytes())
+    # LAS 1.2, table 1: largest and least x, largest and least y
+    struct.pack_into("<4d", content, 179, *stated)
+    path.write_bytes(content)
+    (header,) = read_headers([path])
+    assert ("bounds in which its first point is not" in "".join(header.doubts)) == is_told
+    assert (header.bounds is None) == is_told and header.overlaps((0, 10, 1, 11))
+    # a start of the workflow reads no points
+    assert may_overlap(extent_m(path), (0, 10, 1, 11)) or stated[0] == -5000
 
 
 @pytest.mark.parametrize("number", [0.0, np.nan, np.inf])

@@ -285,6 +285,10 @@ def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     write_points(files / "a.las", x[west], y[west])
     write_points(files / "b.laz", x[~west], y[~west])
     write_points(files / "far.laz", x + 5000, y)
+    # a header that states no bounds
+    content = bytearray((files / "a.las").read_bytes())
+    content[179:211] = bytes(32)
+    (files / "a.las").write_bytes(content)
     bounds = (652000.0, 6861000.0, 652100.0, 6861100.0)
     paths = source(lidar=files).lidar(bounds)
     assert [path.name for path in paths] == ["a.las", "b.laz"]
