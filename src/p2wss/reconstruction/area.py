@@ -29,6 +29,7 @@ from p2wss.reconstruction.pipeline import Part, Rows
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.reconstruction.registration.register import (
     CLASSES,
+    OWN_BUILDINGS,
     OWN_CLASSES,
     STAYS,
     Registration,
@@ -121,12 +122,16 @@ class Area:
 
     def registers(self, points: CloudIndex) -> np.ndarray:
         """Whether each footprint may be moved, int8 (footprints,): :data:`CLASSES` in blocks around which the producer
-        has points of class building, else :data:`OWN_CLASSES`, as what
-        :mod:`p2wss.reconstruction.points.unclassified` takes for buildings says less; without registration, none."""
+        has points of class building, else :data:`OWN_BUILDINGS`, or :data:`OWN_CLASSES` without points of class ground,
+        as what :mod:`p2wss.reconstruction.points.unclassified` takes for them says less; without registration, none."""
         if self._surroundings is None:
             return np.full(len(self.features), STAYS, np.int8)
-        has_classes = self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))
-        return np.where(has_classes, CLASSES, OWN_CLASSES).astype(np.int8)
+        has_ground, has_buildings = (
+            self._surroundings.whole_blocks(points.has_points(*self._centre_m(), number))
+            for number in (GROUND_CLASS, BUILDING_CLASS)
+        )
+        own = np.where(has_ground, OWN_BUILDINGS, OWN_CLASSES)
+        return np.where(has_buildings, CLASSES, own).astype(np.int8)
 
     def missing_classes(self, points: CloudIndex) -> tuple[int, int, int]:
         """Chosen footprints with points around them: those of which none is ground, none is building, and all."""

@@ -342,6 +342,20 @@ def test_of_roofs_alone_the_terrain_is_the_ground(tmp_path: Path, caplog: pytest
     assert "no ground is seen around" in caplog.text
 
 
+@pytest.mark.parametrize("ground", [1, 2])
+def test_without_class_building_a_footprint_on_ground_is_flagged_if_that_has_a_class(ground: int) -> None:
+    """A copy of the houses 20 m to the north, where there are none."""
+    xyz, classes = houses.points()
+    cloud = np.column_stack([np.add(xyz, [*houses.PLACES["EPSG:2154"], 0]), classes])
+    cloud[:, 3] = np.where(cloud[:, 3] == 2, ground, 1)
+    here = houses.footprints().to_crs(2154)
+    there = here.assign(geometry=here.geometry.translate(0, 20), id=here["id"] + " gone")
+    with p2wss.reconstruct(cloud, pd.concat([here, there]), progress=False, model="none") as scene:
+        flags = {name: each.attributes["footprint_flags"] for name, each in scene.items()}
+    is_gone = {name: flag == "no-building" for name, flag in flags.items()}
+    assert is_gone == {name: ground == 2 and name.endswith("gone") for name in flags} and len(flags) == 4
+
+
 @pytest.mark.parametrize("kind", ["file", "table", "country", "world", "none"])
 @pytest.mark.parametrize("crs", ["EPSG:2154", "EPSG:3857"])
 def test_of_the_terrain_of_a_country_the_part_around_the_footprints_is_read(

@@ -58,7 +58,9 @@ _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
 )
-_WITHOUT_BUILDINGS = "points 2 m above the ground that lie on planes are used as building points"
+_WITHOUT_BUILDINGS = (
+    "points 2 m above the ground that lie on planes, of vegetation (3 to 5) too, are used as building points"
+)
 _IN_FOOTPRINTS = (
     " (in footprints with fewer than five of them, all points 2 m above the ground), and footprints are moved by"
     " 0.7 m at least, or not at all (--registration never, or always: as with class 6)"

@@ -54,8 +54,10 @@ REACH_M = MAX_SHIFT_M + DATA_M + SEARCH.cell_m
 # edges are moved to where their steps were found, since further steps may be near
 _NUM_ROUNDS = 2
 EDGES, AROUND, NOTHING = "edges", "around", "none"
-# whether a footprint may be moved, and by which evidence: int8
-STAYS, OWN_CLASSES, CLASSES = range(3)
+# whether a footprint may be moved, and by which evidence: int8; p2wss itself classified all points, or all but ground
+STAYS, OWN_CLASSES, OWN_BUILDINGS, CLASSES = range(4)
+# the least evidence of flags: without the producer's classes, what is ground and roof is known from the footprints
+_FLAGGED = {reasons.BEYOND_POINTS: OWN_CLASSES, reasons.NO_BUILDING: OWN_BUILDINGS}
 
 
 def like_roofs(
@@ -150,15 +152,16 @@ def register(
     """(the footprints where the cloud shows the buildings, what was done to each).
 
     features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
-    :meth:`Surroundings.around`. registers: of each, :data:`OWN_CLASSES`, where p2wss itself classified the points
-    around, or :data:`CLASSES`, the default; those of a block are the same.
+    :meth:`Surroundings.around`. registers: of each, :data:`OWN_CLASSES` or :data:`OWN_BUILDINGS`, where p2wss
+    itself classified points around, or :data:`CLASSES`, the default; those of a block are the same.
     """
     shapes = features.geometry
     blocks = find_blocks(shapes)
     least_id: dict[int, str] = {}
     for block, name in zip(blocks.of_footprint.tolist(), features["building_id"].tolist(), strict=True):
         least_id[block] = min(name, least_id.get(block, name))
-    is_own = np.zeros(len(shapes), bool) if registers is None else registers == OWN_CLASSES
+    registers = np.full(len(shapes), CLASSES) if registers is None else registers
+    is_own = registers < CLASSES
     of_own = np.zeros(len(blocks), bool)
     of_own[blocks.of_footprint[is_own & (blocks.of_footprint >= 0)]] = True
     shifts = block_shifts(blocks, cloud, of_own, least_id)
@@ -181,8 +184,7 @@ def register(
                 float(sd_m) if np.isfinite(sd_m) else None,
                 str(shifts.source[block]),
                 float(overhang_m) if np.isfinite(overhang_m) else None,
-                # without the producer's classes, what is ground and roof is known from the footprints
-                tuple(name for name in evidence.flags[k] if name == reasons.BEYOND_POINTS or not is_own[k]),
+                tuple(name for name in evidence.flags[k] if registers[k] >= _FLAGGED.get(name, CLASSES)),
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),
                 least_id[block],
