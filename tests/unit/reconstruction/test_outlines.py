@@ -73,6 +73,17 @@ def test_outline_of_an_l_shape(angle_deg: float) -> None:
     assert outline.intersection(truth).area / outline.union(truth).area >= 0.96
 
 
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0, 60.0, 75.0])
+def test_a_short_side_between_sides_that_would_meet_in_a_spike_stays(angle_deg: float) -> None:
+    """They would meet 2.5 m beyond it."""
+    wedge = shapely.Polygon([(0, -4), (12, -0.7), (12, 0.7), (0, 4)])
+    (outline,) = outlines(scene((wedge, 6.0), angle_deg=angle_deg), Outlines(overhang_m=0, min_edge_m=2))
+    xy_m = np.array(
+        affinity.rotate(affinity.translate(outline, *-ORIGIN), -angle_deg, origin=(0, 0)).exterior.coords
+    )
+    assert xy_m[:, 0].max() < 12.7
+
+
 @pytest.mark.parametrize("angle_deg", [12.0, 17.0, 74.0])
 def test_a_small_house_stands_as_its_points_do(angle_deg: float) -> None:
     """Along edges of few cells a trace follows the raster."""

@@ -29,7 +29,8 @@ class Rules:
     around its points, which a trace fills that has the directions of this rectangle. min_trace_vertices, max_turn_deg:
     an edge with as many vertices of the trace has the direction of the line through them, unless that is this far from
     its own. oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off.
-    parallel_deg: lines whose directions differ by less are parallel. reach_cells: of seams beyond the ends of their
+    parallel_deg: lines whose directions differ by less are parallel. spike_deg: of a corner that no removal of a short
+    edge makes. reach_cells: of seams beyond the ends of their
     traces, so that they meet the outline. grid_m: of all coordinates. least_length_m: that an edge counts with.
     max_move_m, min_points: an edge moves by at most this, and not with fewer points on the roof near it. least_density:
     in front of an edge, as a share of that of roofs. max_difference: of an outline from its trace, as a share of the
@@ -45,6 +46,7 @@ class Rules:
     max_turn_deg: float = 10.0
     oblique_share: float = 0.4
     parallel_deg: float = 3.0
+    spike_deg: float = 60.0
     reach_cells: int = 3
     grid_m: float = 1e-3
     least_length_m: float = 0.01
@@ -251,13 +253,14 @@ def _indices(simple_m: np.ndarray, traced_m: np.ndarray) -> np.ndarray:
 
 
 def _reduce(lines: list[_Line], min_edge_m: float) -> None:
-    """Join parallel neighbours and remove short edges, until there are none. Oblique edges, with which a raster cuts
-    corners off, count as shorter than they are."""
+    """Join parallel neighbours and remove short edges, until there are none, but for the ends of tapering buildings.
+    Oblique edges, with which a raster cuts corners off, count as shorter than they are."""
     while True:
         while len(lines) > 3 and any(_join_parallel(lines, index) for index in range(len(lines))):
             pass
         length_m = _lengths(lines)
         counted_m = np.where([line.is_main for line in lines], length_m, RULES.oblique_share * length_m)
+        counted_m[(length_m > 0) & _is_cap(lines)] = np.inf
         shortest = int(np.argmin(counted_m))
         if len(lines) <= 4 or counted_m[shortest] >= min_edge_m:
             break
@@ -265,6 +268,14 @@ def _reduce(lines: list[_Line], min_edge_m: float) -> None:
             if np.isfinite(length):
                 line.length = max(length, RULES.least_length_m)
         lines.pop(shortest)
+
+
+def _is_cap(lines: list[_Line]) -> np.ndarray:
+    """Whether without each edge its neighbours would meet in a spike, bool (n,)."""
+    direction = np.array([line.direction for line in lines])
+    cosine = (np.roll(direction, 1, axis=0) * np.roll(direction, -1, axis=0)).sum(axis=1)
+    opposite, least = np.cos(np.radians([RULES.parallel_deg, RULES.spike_deg]))
+    return np.asarray((cosine > -opposite) & (cosine < -least))
 
 
 def _join_parallel(lines: list[_Line], index: int) -> bool:
