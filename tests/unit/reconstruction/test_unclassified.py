@@ -64,6 +64,13 @@ def test_classes_of_the_producer_stay() -> None:
         ).all()
 
 
+def test_plants_are_no_ground_where_the_producer_has_none() -> None:
+    cloud, truth = town()
+    classified = replace(cloud, classification=np.where(truth == 2, 3, truth).astype(np.uint8))
+    result, warnings = with_classes(classified)
+    assert np.array_equal(result.classification, classified.classification) and "class 2" in warnings[0]
+
+
 def test_ground_is_that_of_the_nearest_cell_and_takes_no_images_of_scipy() -> None:
     """Of equally near cells, it is that of the one which the transform of :func:`filled` takes."""
     draw = np.random.default_rng(1)

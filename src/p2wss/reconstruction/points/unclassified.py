@@ -16,9 +16,11 @@ from p2wss.clouds.reading import Cloud
 from p2wss.data.las_classes import (
     BUILDING_CLASS,
     GROUND_CLASS,
+    PLANT_CLASSES,
     UNCLASSIFIED_CLASS,
     VEGETATION_CLASS,
     WATER_CLASS,
+    has_class,
 )
 from p2wss.data.points import MIN_HEIGHT_M
 from p2wss.data.tiling import Bounds, grown
@@ -74,7 +76,8 @@ _WITHOUT_FOOTPRINTS = (
 def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     """The cloud with ground and building points where it has none at all of a class, and a warning for each class.
 
-    Only points that are unclassified, vegetation or of a class without a meaning in LAS get another class.
+    Only points that are unclassified, vegetation or of a class without a meaning in LAS get another class; those of
+    vegetation are no ground.
     """
     classes = cloud.classification
     if not len(cloud):
@@ -87,7 +90,8 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
             x_m, y_m = cloud.x_m[near], cloud.y_m[near]
             inside = in_window(x_m, y_m, tile)
             is_lowest[near[inside]] = _lowest(x_m, y_m, cloud.z_m[near])[inside]
-        classes = np.where(is_open(classes) & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
+        may_be_ground = is_open(classes) & ~has_class(classes, PLANT_CLASSES)
+        classes = np.where(may_be_ground & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
         height_m = cloud.z_m - ground_z_m(replace(cloud, classification=classes))
         candidates = np.flatnonzero(is_open(classes) & (height_m >= MIN_HEIGHT_M))
