@@ -64,6 +64,20 @@ def test_classes_of_the_producer_stay() -> None:
         ).all()
 
 
+def test_low_outliers_are_no_ground_and_do_not_hide_it() -> None:
+    """One in 100 m2, 2 to 8 m below the ground, as of pulses that were reflected twice."""
+    cloud, truth = town()
+    draw = np.random.default_rng(1)
+    x, y = draw.uniform(0, 100, (2, 100))
+    z = np.concatenate([cloud.z_m, 10 + 0.05 * x - draw.uniform(2, 8, 100)])
+    low = Cloud(
+        np.append(cloud.x_m, x + 5000), np.append(cloud.y_m, y + 7000), z, np.ones(len(z), np.uint8), None
+    )
+    is_ground = with_classes(low)[0].classification == 2
+    assert (is_ground[: len(cloud)] & (truth == 2)).sum() > 0.97 * (truth == 2).sum()
+    assert is_ground[len(cloud) :].sum() < 10
+
+
 def test_plants_are_no_ground_where_the_producer_has_none() -> None:
     cloud, truth = town()
     classified = replace(cloud, classification=np.where(truth == 2, 3, truth).astype(np.uint8))

@@ -33,7 +33,8 @@ class Rules:
     """What is ground, and what lies on a plane; set by hand.
 
     max_radius_m: half the width of the widest building that is not taken for ground. low_percentile, max_below_m:
-    without single low outliers, a cell counts as no lower than this below the second lowest of the nine around it.
+    without single low outliers, a cell counts as no lower than this below the second lowest of the nine around it, and
+    a point that all others there are so far above is none of its, in so many rounds, num_alone.
     max_roughness_m: rms distance of neighbours, no further than max_distance_m, from their plane. steepest_deg: plane.
     """
 
@@ -42,6 +43,7 @@ class Rules:
     ground_slope: float = 0.15
     low_percentile: int = 20
     max_below_m: float = 1.0
+    num_alone: int = 3
     ground_tolerance_m: float = 0.4
     num_neighbours: int = 12
     max_distance_m: float = 2.0
@@ -51,6 +53,7 @@ class Rules:
 
 RULES = Rules()
 _CHUNK = 10_000
+_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 # the raster of a cloud with more cells is made tile by tile, each of so many cells along a side: houses that lie over
 # 8 x 10 km, or a corridor of 50 km, are hardly any of what is around them
 _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
@@ -160,8 +163,16 @@ def filled(raster: np.ndarray) -> np.ndarray:
 def _lowest(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
     """Whether each point is ground, bool (n,)."""
     row, column, shape = _cells(x_m, y_m)
+    is_alone = np.zeros(len(z_m), bool)
+    for _ in range(RULES.num_alone):
+        lowest, second = (np.full(shape, np.inf) for _ in range(2))
+        np.minimum.at(lowest, (row, column), np.where(is_alone, np.inf, z_m))
+        is_lowest = z_m == lowest[row, column]
+        np.minimum.at(second, (row, column), np.where(is_alone | is_lowest, np.inf, z_m))
+        second = np.minimum(second, scipy.ndimage.minimum_filter(lowest, footprint=_AROUND))
+        is_alone |= is_lowest & (second > lowest + RULES.max_below_m)[row, column]
     lowest = np.full(shape, np.inf)
-    np.minimum.at(lowest, (row, column), z_m)
+    np.minimum.at(lowest, (row, column), np.where(is_alone, np.inf, z_m))
     lowest[np.isinf(lowest)] = np.nan
     surface = filled(lowest)
     low = scipy.ndimage.percentile_filter(surface, RULES.low_percentile, 3)
@@ -174,7 +185,8 @@ def _lowest(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
         is_object |= opened - after > RULES.ground_slope * radius * RULES.cell_m
         opened = after
     ground = filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
-    return z_m - ground[row, column] <= RULES.ground_tolerance_m
+    height_m = z_m - ground[row, column]
+    return (height_m <= RULES.ground_tolerance_m) & (~is_alone | (height_m >= -RULES.ground_tolerance_m))
 
 
 def ground_z_m(cloud: Cloud) -> np.ndarray:
