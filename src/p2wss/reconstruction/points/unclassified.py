@@ -53,7 +53,6 @@ class Rules:
 
 RULES = Rules()
 _CHUNK = 10_000
-_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 # the raster of a cloud with more cells is made tile by tile, each of so many cells along a side: houses that lie over
 # 8 x 10 km, or a corridor of 50 km, are hardly any of what is around them
 _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
@@ -163,13 +162,14 @@ def filled(raster: np.ndarray) -> np.ndarray:
 def _lowest(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
     """Whether each point is ground, bool (n,)."""
     row, column, shape = _cells(x_m, y_m)
-    is_alone = np.zeros(len(z_m), bool)
+    is_alone, around = np.zeros(len(z_m), bool), np.ones((3, 3), bool)
+    around[1, 1] = False
     for _ in range(RULES.num_alone):
         lowest, second = (np.full(shape, np.inf) for _ in range(2))
         np.minimum.at(lowest, (row, column), np.where(is_alone, np.inf, z_m))
         is_lowest = z_m == lowest[row, column]
         np.minimum.at(second, (row, column), np.where(is_alone | is_lowest, np.inf, z_m))
-        second = np.minimum(second, scipy.ndimage.minimum_filter(lowest, footprint=_AROUND))
+        second = np.minimum(second, scipy.ndimage.minimum_filter(lowest, footprint=around))
         is_alone |= is_lowest & (second > lowest + RULES.max_below_m)[row, column]
     lowest = np.full(shape, np.inf)
     np.minimum.at(lowest, (row, column), np.where(is_alone, np.inf, z_m))
