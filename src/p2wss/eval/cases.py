@@ -11,7 +11,7 @@ import pandas as pd
 import pyarrow as pa
 
 from p2wss.data import polygon_arrays
-from p2wss.data.building import Building, Reconstruction
+from p2wss.data.building import Building
 from p2wss.data.manifest import Manifest
 from p2wss.eval.reconstructions import Key
 from p2wss.storage import files
@@ -96,11 +96,6 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     if not len(height):
         return Medians(float("nan"), float("nan"))
     return Medians(float(np.median(height)), float(np.median(angle)))
-
-
-def local_points(case: Case, reconstruction: Reconstruction) -> np.ndarray:
-    """The building's points in the frame of the reconstruction's mesh: (n, 3), metres."""
-    return case.building.point_m + (case.building.position_m - reconstruction.position_m)
 
 
 def from_crops(table: pa.Table, dataset: str) -> list[Case]:

@@ -13,7 +13,7 @@ from p2wss import skeleton
 from p2wss.config import Buildings, Eval
 from p2wss.data.building import Reconstruction
 from p2wss.data.seeds import generator
-from p2wss.eval.cases import Case, local_points
+from p2wss.eval.cases import Case
 from p2wss.eval.methods import MASKED
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m
@@ -141,7 +141,8 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
     draw = generator(config.seed, "eval.measure", building.tile, building.building_id, reconstruction.method)
     vertex_m, triangle = mesh.vertex_m, mesh.triangle
     facts = mesh_facts(vertex_m, triangle)
-    point_m = local_points(case, reconstruction)
+    # in the frame of the mesh
+    point_m = building.point_m + (building.position_m - reconstruction.position_m)
     samples = sample_surface(vertex_m, triangle, config.num_samples, draw)
     row |= {
         "num_parts": reconstruction.num_parts,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from p2wss.data.points import stride
 from p2wss.eval.cases import Case
 from p2wss.eval.figures import COLORS
 from p2wss.eval.reconstructions import Key
-from p2wss.formats.viewer import OTHER_COLORS, Layer, Shown, Viewer
+from p2wss.formats.viewer import OTHER_COLORS, Layer, Shown
 from p2wss.formats.viewer import viewer as view_of
 from p2wss.mesh.surface import distance_to_mesh
 
@@ -58,7 +58,7 @@ def viewer(
     reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
     names: Mapping[str, str],
     ours: str,
-) -> Viewer | None:
+) -> dict[str, Any] | None:
     """The view of the chosen buildings; None if there are none. names: of the methods to show."""
     if not views:
         return None

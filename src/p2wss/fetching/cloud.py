@@ -125,7 +125,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def append_checksum(path: Path) -> None:
-    """Add the checksum at the end of a LAZ file, unless its last bytes have a meaning.
+    """Add room for a checksum, which ``atomic`` fills, at the end of a LAZ file, unless its last bytes have a meaning.
 
     A file that was written to a pipe ends with the place of its chunk table, and has -1 where others have that.
     """
@@ -134,4 +134,4 @@ def append_checksum(path: Path) -> None:
         file.seek(header.offset_to_point_data)
         has_table_at_end = file.read(8) == b"\xff" * 8
     if not has_table_at_end:
-        integrity.seal(path)
+        integrity.append(path)

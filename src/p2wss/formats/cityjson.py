@@ -27,6 +27,8 @@ SURFACE_TYPE = {
 }
 
 
+# of EPSG, as CityJSON requires them
+_CRS_URL = "https://www.opengis.net/def/crs/EPSG/0/"
 # planes with less slope have no azimuth
 _LEVEL_DEG = 0.1
 
@@ -60,15 +62,6 @@ class Metadata:
     reference_date: str | None = None
     slope: str = "slope_deg"
     azimuth: str = "azimuth_deg"
-
-
-def reference_system(epsg: int) -> str:
-    """The URL of a CRS in the form that CityJSON requires.
-
-    >>> reference_system(2154)
-    'https://www.opengis.net/def/crs/EPSG/0/2154'
-    """
-    return f"https://www.opengis.net/def/crs/EPSG/0/{epsg}"
 
 
 def lines(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
@@ -132,7 +125,7 @@ def _header(translate: np.ndarray, metadata: Metadata) -> dict[str, Any]:
     stated = {
         "title": metadata.title,
         "referenceDate": metadata.reference_date,
-        "referenceSystem": None if metadata.epsg is None else reference_system(metadata.epsg),
+        "referenceSystem": None if metadata.epsg is None else f"{_CRS_URL}{metadata.epsg}",
     }
     stated = {name: value for name, value in stated.items() if value is not None}
     return header | ({"metadata": stated} if stated else {})

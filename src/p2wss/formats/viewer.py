@@ -86,21 +86,11 @@ class Shown:
     about: str = ""
 
 
-@dataclass(frozen=True)
-class Viewer:
-    """What a template embeds: the data as JSON, three.js, and the script that draws the data with it. together: all
-    buildings in one picture."""
-
-    data: str
-    library: str
-    script: str
-    together: bool
-
-
 def viewer(
     buildings: Sequence[Shown], layers: Sequence[Layer], together: bool, place: Place = Place()
-) -> Viewer:
-    """The view of these buildings, of which there is at least one: one at a time, or all ``together``."""
+) -> dict[str, Any]:
+    """What a template embeds of these buildings, of which there is at least one, shown one at a time, or all
+    ``together``: the data as JSON, three.js, and the script that draws the data with it."""
     plants, others = Mesh.joined(place.plants), Mesh.joined(place.others)
     around = (
         ("plants", "Vegetation", PLANT_COLOR, plants),
@@ -129,7 +119,7 @@ def viewer(
     # "</script>" in a building's id must not end the element
     text = json.dumps(data, separators=(",", ":"), default=str).replace("<", "\\u003c")
     library, script = ((assets / name).read_text("utf-8") for name in ("three.min.js", "viewer.js"))
-    return Viewer(text, library, script, together)
+    return {"data": text, "library": library, "script": script, "together": together}
 
 
 def scene_page(

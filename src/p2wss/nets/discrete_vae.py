@@ -171,13 +171,13 @@ class DiscreteVae(nn.Module):
         soft = F.gumbel_softmax(logits, temperature)  # type: ignore[arg-type]
         coarse, fine = self.decoder(self.to_features(soft @ self.codebook, graph))
         valid = patches.valid
-        log_mean = _masked_mean(F.softmax(logits, -1), valid).clamp_min(1e-20).log()
+        mean = (F.softmax(logits, -1) * valid[..., None]).sum(1) / valid.sum(1)[:, None]
         log_uniform = -math.log(logits.shape[-1])
         return {
             "coarse": chamfer_l1(coarse, patches.points, valid),
             "fine": chamfer_l1(fine, patches.points, valid),
             # KL(uniform || mean posterior of the cloud), as in Point-BERT; in float32
-            "kl": (log_uniform - log_mean).mean(),
+            "kl": (log_uniform - mean.clamp_min(1e-20).log()).mean(),
             "codes": logits.detach().argmax(-1),
         }
 
@@ -211,11 +211,6 @@ def _pick(points: Tensor, index: Tensor) -> Tensor:
 def _distance(a: Tensor, b: Tensor) -> Tensor:
     # the square root has no finite slope at 0
     return (a - b).square().sum(-1).clamp_min(1e-12).sqrt()
-
-
-def _masked_mean(x: Tensor, valid: Tensor) -> Tensor:
-    """Mean over patches: (b, g, c), (b, g) -> (b, c)."""
-    return (x * valid[..., None]).sum(1) / valid.sum(1)[:, None]
 
 
 def temperature(progress: float, end: float) -> float:

@@ -56,7 +56,7 @@ class Points(NamedTuple):
 
     xyz_mm int32 (n, 3) in the local frame; intensity uint16; scan_angle int16, units of 0.006 degrees,
     positive to the right of the flight; pulse int64; strip uint16; building int32, -1 for terrain and trees; face
-    int32, -1 for terrain, see :func:`surface.encode_face` and :func:`surface.encode_clutter`.
+    int32, -1 for terrain, see :func:`surface.encode_face` and :class:`surface.ClutterKind`.
     """
 
     xyz_mm: np.ndarray

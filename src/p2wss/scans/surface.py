@@ -15,7 +15,8 @@ CLUTTER_KIND = 0  # of a face id: neither wall nor roof
 
 
 class ClutterKind(IntEnum):
-    """What stands on, at or over a building and is no part of its label; see :func:`encode_clutter`.
+    """What stands on, at or over a building and is no part of its label. The face ids of its points
+    are ``4 * kind``, so that ``face_id & 3`` is 0: they count neither as roof nor as wall.
 
     The numbers are in the files of scans, and random draws depend on them.
     """
@@ -30,7 +31,7 @@ class Surface(NamedTuple):
     """The terrain and t triangles of buildings and clutter, all in the local frame.
 
     vertex_m: float64 (v, 3). triangle: int32 (t, 3). building: int32 (t,), -1 for trees. face: int32 (t,),
-    see :func:`encode_face` and :func:`encode_clutter`. reflectance: float32 (t,), 0 to 1. loss: float32 (t,),
+    see :func:`encode_face` and :class:`ClutterKind`. reflectance: float32 (t,), 0 to 1. loss: float32 (t,),
     share of the returns that the sensor does not detect.
     """
 
@@ -55,14 +56,6 @@ def encode_face(kind: np.ndarray, edge: np.ndarray) -> np.ndarray:
     ``kind = face_id & 3`` (1 wall, 2 roof, 3 flat roof) and ``edge = (face_id >> 2) - 1``; terrain is -1.
     """
     return (4 * (edge.astype(np.int32) + 1) + kind.astype(np.int32)).astype(np.int32)
-
-
-def encode_clutter(kind: np.ndarray) -> np.ndarray:
-    """Face ids of clutter: ``4 * kind`` with kind a :class:`ClutterKind`, so that ``face_id & 3`` is 0.
-
-    Such points count neither as roof nor as wall.
-    """
-    return (4 * np.asarray(kind)).astype(np.int32)
 
 
 def is_tree(face: np.ndarray) -> np.ndarray:

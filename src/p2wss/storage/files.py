@@ -272,16 +272,13 @@ class _Facts(dict[str, Any]):
         )
 
 
-def write_json(path: str | Path, value: Any) -> None:
-    """Write ``value`` as indented JSON; an object gets a first key ``checksum``, see :mod:`p2wss.storage.integrity`."""
-    if isinstance(value, dict):  # a checksum that the value has brought from another file is no longer true
-        value = {name: each for name, each in value.items() if name != _JSON_CHECKSUM}
+def write_json(path: str | Path, value: dict[str, Any]) -> None:
+    """Write ``value`` as indented JSON with a first key ``checksum``, see :mod:`p2wss.storage.integrity`."""
+    # one that the value has brought from another file is no longer true
+    value = {name: each for name, each in value.items() if name != _JSON_CHECKSUM}
     text = json.dumps(value, indent=1, sort_keys=True) + "\n"
-    if isinstance(value, dict):
-        stated = f'{{\n "{_JSON_CHECKSUM}": "{integrity.SLOT}"'
-        text = stated + (f",{text[1:]}" if value else "\n}\n")
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    stated = f'{{\n "{_JSON_CHECKSUM}": "{integrity.SLOT}"'
+    write_text(path, stated + (f",{text[1:]}" if value else "\n}\n"))
 
 
 def check_stem(name: str) -> None:

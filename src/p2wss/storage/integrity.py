@@ -46,12 +46,6 @@ def fill(path: str | Path) -> None:
             file.write(_digest(file.fileno(), place).encode())
 
 
-def seal(path: str | Path) -> None:
-    """Add the checksum as a last line to a file that is complete."""
-    append(path)
-    fill(path)
-
-
 def append(path: str | Path) -> None:
     """Add a last line with a slot to a file that is to be filled. A file that has a checksum is left as it is."""
     if not has_checksum(path):

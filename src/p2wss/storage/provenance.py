@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from hashlib import blake2b
@@ -24,7 +23,7 @@ from p2wss.storage.errors import InputError
 
 PACKAGE = "p2wss"
 # their values reach a stage through the parameters, or they only pass paths on
-NOT_TRACKED = ("config", "storage.provenance", "cli")
+NOT_TRACKED = ("p2wss.config.", "p2wss.storage.provenance.", "p2wss.cli.")
 # another version of these may give other numbers from the same code
 LIBRARIES = ("embreex", "manifold3d", "numba", "numpy", "scipy", "shapely", "torch")
 # of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
@@ -63,7 +62,7 @@ def fingerprint(*stages: str) -> str:
     while pending:
         name = pending.pop()
         # the package itself is the public interface, which calls the stages and is called by none
-        is_tracked = name in named or (name != PACKAGE and not _is_within(name, NOT_TRACKED))
+        is_tracked = name in named or (name != PACKAGE and not f"{name}.".startswith(NOT_TRACKED))
         if name in digests or not is_tracked:
             continue
         if name in LIBRARIES:
@@ -88,11 +87,6 @@ def _version(library: str) -> str:
         return metadata.version(library).partition("+")[0]
     except metadata.PackageNotFoundError:
         return ""
-
-
-def _is_within(name: str, parts: Sequence[str]) -> bool:
-    """Whether a module is one of these parts of the package, or in one."""
-    return any(f"{name}.".startswith(f"{PACKAGE}.{part}.") for part in parts)
 
 
 def _kept() -> dict[str, Module]:

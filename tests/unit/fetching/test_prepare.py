@@ -42,7 +42,8 @@ def rows(points: np.ndarray) -> list[tuple[int, ...]]:
 
 def test_a_classified_tile_is_linked_unchanged(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", scatter(1000, TILE), 2)
-    integrity.seal(cloud)  # as the stage fetch does
+    integrity.append(cloud)  # as the stage fetch does
+    integrity.fill(cloud)
     out = tmp_path / "out" / "0652_6862.laz"
     facts = prepare(out, [cloud], Window(AROUND, [], L93, L93), config(pdal_command="no-such-program"))
     assert (facts["by"], facts["num_points"], facts["num_ground_points"]) == ("laspy", 1000, 1000)

@@ -19,7 +19,6 @@ from p2wss.scans.surface import (
     TREE_REFLECTANCE,
     ClutterKind,
     Surface,
-    encode_clutter,
 )
 
 __all__ = ["LocalBuildings", "add_clutter"]
@@ -30,7 +29,7 @@ def add_clutter(
 ) -> tuple[Surface, dict[str, int]]:
     """``surface`` with the clutter of ``buildings``, and the number of clutter objects of each kind.
 
-    Points on clutter have a face id of kind 0, see :func:`surface.encode_clutter`, so they count neither as
+    Points on clutter have a face id of kind 0, see :class:`~p2wss.scans.surface.ClutterKind`, so they count neither as
     roof nor as wall; trees belong to no building (-1).
     """
     surface, num_set_back = set_walls_back(
@@ -60,7 +59,7 @@ def _with_triangles(surface: Surface, kind: ClutterKind, triangles: ClutterTrian
         vertex_m=np.concatenate([surface.vertex_m, triangles.vertex_m.reshape(-1, 3)]),
         triangle=np.concatenate([surface.triangle, corner]),
         building=np.concatenate([surface.building, building]),
-        face=np.concatenate([surface.face, encode_clutter(np.full(count, kind, np.int32))]),
+        face=np.concatenate([surface.face, np.full(count, 4 * kind, np.int32)]),
         reflectance=np.concatenate([surface.reflectance, reflectance]),
         loss=np.concatenate([surface.loss, np.zeros(count, np.float32)]),
     )
