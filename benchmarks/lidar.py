@@ -41,10 +41,10 @@ from lidar_scene import (
     warm_up,
 )
 
-from p2wss import scans
 from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Clutter
 from p2wss.data.terrain import Terrain
+from p2wss.scans import scan as scans
 
 ROOT = Path(__file__).resolve().parents[1]
 STEP_BARS_S = {

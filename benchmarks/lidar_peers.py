@@ -13,11 +13,11 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from lidar_scene import TILE, footprints, settings
 
-from p2wss import scans
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
+from p2wss.scans import scan as scans
 from p2wss.scans.caster import CHUNK_PULSES, Caster
 from p2wss.scans.hits import Hits, empty_hits
 from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, empty_rays, generate

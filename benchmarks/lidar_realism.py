@@ -13,12 +13,12 @@ from lidar_scene import NO_CLUTTER, TILE, as_cloud, footprints, make_buildings, 
 from lidar_twins import simulate_again, wall_depths_m
 from scipy.spatial import cKDTree
 
-from p2wss import scans
 from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Clutter, Scans
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import VEGETATION_CLASS
+from p2wss.scans import scan as scans
 
 _REAL = (("Delft AHN3", "delft_ahn3", "ahn3.laz", 28992), ("Bresse IGN", "bresse_ign", "lidar.laz", 2154))
 

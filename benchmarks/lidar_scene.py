@@ -14,10 +14,10 @@ import pyarrow as pa
 import pyproj
 import shapely
 
-from p2wss import crops, scans
 from p2wss.clouds import crops as cloud_crops
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Buildings, Clutter, Crops, Scans
+from p2wss.crops.simulated import crop_simulated
 from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
@@ -114,7 +114,7 @@ def footprints(buildings: pa.Table) -> Polygons:
     return polygon_arrays.in_crs(buildings)
 
 
-def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
+def as_cloud(scan: scan_module.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
     """What the stage crops reads from the file of a scan: the cloud, building id and face id per point."""
     xyz = [scan.points.xyz_mm[:, i] * 0.001 for i in range(3)]
     for column, origin in zip(xyz, scan.origin_m, strict=True):
@@ -160,7 +160,7 @@ class Run:
     num_pulses: int
     num_points: int
     cloud: Cloud
-    scan: scans.Scan | None
+    scan: scan_module.Scan | None
 
 
 def run_scene(
@@ -176,13 +176,13 @@ def run_scene(
     meter.watch(caster, "record", "noise, drop-out, tags")
     meter.watch(cloud_crops, "crop_points", "crop")
     begin = time.process_time()
-    scan = scans.simulate(buildings, terrain, TILE, size_m, settings())
+    scan = scan_module.simulate(buildings, terrain, TILE, size_m, settings())
     simulate_s = time.process_time() - begin
     points, facts = as_cloud(scan), scan.facts
     returned_scan = scan if keep_scan else None
     del scan  # in the pipeline the crop is a process of its own
     start = time.process_time()
-    columns, _ = crops.crop_simulated(buildings, points, Crops())
+    columns, _ = crop_simulated(buildings, points, Crops())
     crop_s = time.process_time() - start
     start = time.process_time()
     files.write_table(folder / "shard.parquet", columns, CROPS, {})

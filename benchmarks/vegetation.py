@@ -24,7 +24,6 @@ import numpy as np
 from figures import Figures
 from scipy.spatial import cKDTree
 
-from p2wss import scans
 from p2wss.cli import main as command
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Scans
@@ -34,6 +33,7 @@ from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import grown, tile_bounds
 from p2wss.reconstruction.outputs.vegetation import Plant, plants
 from p2wss.reconstruction.points.cloud_index import CloudIndex
+from p2wss.scans import scan as scans
 from p2wss.scans.clutter import beside_walls
 from p2wss.scans.scan import build_surface, local_buildings
 from p2wss.scans.surface import las_classes

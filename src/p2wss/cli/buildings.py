@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import click
@@ -20,7 +21,6 @@ from p2wss.storage.provenance import fingerprint
 @config_option
 def buildings(scene: Path, out: Path, config: Config) -> None:
     """Build the closed meshes of one scene."""
-    import numpy as np
 
     from p2wss.scenes.buildings import build_scene, failed_fraction
     from p2wss.storage.schemas.buildings import BUILDINGS
@@ -42,8 +42,6 @@ def buildings(scene: Path, out: Path, config: Config) -> None:
         place=facts.get("place", ""),
         config=section_json(config, "buildings"),
         code=fingerprint("scenes.buildings"),
-        num_by_status=dict(
-            zip(*(a.tolist() for a in np.unique(status.astype(str), return_counts=True)), strict=True)
-        ),
+        num_by_status=dict(sorted(Counter(status.tolist()).items())),
     )
     files.write_table(out, columns, BUILDINGS, metadata)

@@ -29,7 +29,7 @@ def crops() -> None:
 @config_option
 def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> None:
     """Crop a simulated scan, with labels."""
-    from p2wss import crops
+    from p2wss.crops.simulated import crop_simulated, scan_of
     from p2wss.storage.schemas.buildings import BUILDINGS
 
     facts = files.read_metadata(buildings)
@@ -39,7 +39,7 @@ def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> N
             f"{buildings}: its margin of {facts['margin_m']} m is smaller than crops.guard_m "
             f"{config.crops.guard_m}; raise scenes.margin_m"
         )
-    columns, num_excluded = crops.crop_simulated(table, crops.scan_of(scan, facts["crs"]), config.crops)
+    columns, num_excluded = crop_simulated(table, scan_of(scan, facts["crs"]), config.crops)
     settings = section_json(config, "crops")
     tile = facts.get("place", "") + facts["tile"]
     _write_crops(out, columns, num_excluded, tile, facts["crs"], settings)
@@ -56,7 +56,7 @@ def crops_real(
     tile: str, place: str, footprints: Path, clouds: tuple[Path, ...], out: Path, config: Config
 ) -> None:
     """Crop real LiDAR, without labels."""
-    from p2wss import crops
+    from p2wss.crops.real import crop_real
     from p2wss.data.las_classes import class_set
     from p2wss.footprints import cleaning
 
@@ -65,7 +65,7 @@ def crops_real(
     features = cleaning.read_whole_blocks(footprints, bounds, config.scenes.snap_m)
     features = cleaning.clean_footprints(features, config.scenes)
     classes = class_set(**config.region.classes.model_dump())
-    columns, num_excluded = crops.crop_real(features, list(clouds), tile, tile_size_m, config.crops, classes)
+    columns, num_excluded = crop_real(features, list(clouds), tile, tile_size_m, config.crops, classes)
     tile = place + tile
     columns["tile"] = [tile] * len(columns["num_points"])
     settings = section_json(config, "region", "scenes", "crops", without=TILE_LISTS)

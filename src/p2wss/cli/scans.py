@@ -36,9 +36,9 @@ def scans(
     """Simulate the LiDAR survey of one scene."""
     import pyproj
 
-    from p2wss import scans
     from p2wss.data.crs import check_crs
     from p2wss.data.terrain import read_terrain
+    from p2wss.scans.scan import simulate, write_scan
     from p2wss.storage.schemas.buildings import BUILDINGS
 
     facts = files.read_metadata(scene)
@@ -49,7 +49,7 @@ def scans(
     terrain, dtm_crs = read_terrain(dtm)
     crs = pyproj.CRS.from_user_input(facts["crs"])
     check_crs(dtm_crs, crs, dtm, "the buildings are", "reproject it")
-    scan = scans.simulate(table, terrain, facts["tile"], facts["tile_size_m"], config.scans, threads=threads)
+    scan = simulate(table, terrain, facts["tile"], facts["tile_size_m"], config.scans, threads=threads)
     bare = scan.facts["buildings_on_nodata"]
     if bare:
         log.warning(
@@ -61,7 +61,7 @@ def scans(
         f"{scan.facts['num_points']} points, {scan.facts['points_per_m2']:.1f} points per m2 "
         f"of {survey['density_per_m2']:.1f} pulses requested"
     )
-    scans.write_scan(out, scan, crs, threads=threads)
+    write_scan(out, scan, crs, threads=threads)
     provenance = files.provenance(
         tile=facts["tile"], crs=facts["crs"], config=section_json(config, "scans"), code=fingerprint("scans")
     )

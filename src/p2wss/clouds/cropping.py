@@ -11,10 +11,11 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 
 from p2wss.skeleton.compiled import ZERO, entry, inlined, inner
 from p2wss.skeleton.ordering import median, sorted_by
-from p2wss.skeleton.rings import crosses, is_inside
+from p2wss.skeleton.rings import crosses
 from p2wss.skeleton.types import Polygons
 
 _CELL_M = 4.0
@@ -249,46 +250,21 @@ def ring_medians(
     return count, result
 
 
-@entry
-def seen_share(
-    x_cm: np.ndarray,
-    y_cm: np.ndarray,
-    on_roof: np.ndarray,
-    offset: np.ndarray,
-    xy: np.ndarray,
-    ring_offset: np.ndarray,
-    polygon_offset: np.ndarray,
-) -> np.ndarray:
-    """Share of the 1 m cells of each polygon that have a point on the roof, float32 (num_polygons,).
+def seen_share(polygon: shapely.Polygon, x_m: np.ndarray, y_m: np.ndarray) -> float:
+    """Share of the 1 m cells of a polygon that have one of the points (n,).
 
     A cell counts when its centre is inside the polygon; cells start at whole metres of the local frame, in
-    which the polygons and the points are given. Without any such cell: 1 with a point on the roof, else 0.
+    which the polygon and the points are given. Without any such cell: 1 with a point, else 0.
     """
-    result = np.zeros(len(offset) - 1, np.float32)
-    for p in range(len(offset) - 1):
-        first, last = ring_offset[polygon_offset[p]], ring_offset[polygon_offset[p + 1]]
-        if first == last:
-            continue
-        x, y = xy[first:last, 0], xy[first:last, 1]
-        column0, row0 = int(np.floor(x.min())), int(np.floor(y.min()))
-        columns, rows = int(np.floor(x.max())) - column0 + 1, int(np.floor(y.max())) - row0 + 1
-        seen = np.zeros((rows, columns), np.bool_)
-        for k in range(offset[p], offset[p + 1]):
-            if on_roof[k]:
-                column = int(np.floor(x_cm[k] / 100.0)) - column0
-                row = int(np.floor(y_cm[k] / 100.0)) - row0
-                if 0 <= column < columns and 0 <= row < rows:
-                    seen[row, column] = True
-        num_cells, num_seen = 0, 0
-        for row in range(rows):
-            for column in range(columns):
-                px, py = column0 + column + 0.5, row0 + row + 0.5
-                inside = False
-                for ring in range(polygon_offset[p], polygon_offset[p + 1]):
-                    inside ^= is_inside(xy, ring_offset[ring], ring_offset[ring + 1], px, py)
-                if inside:
-                    num_cells += 1
-                    num_seen += seen[row, column]
-        any_seen = on_roof[offset[p] : offset[p + 1]].any()
-        result[p] = num_seen / num_cells if num_cells else 1.0 * any_seen
-    return result
+    if polygon.is_empty:
+        return 0.0
+    low_x, low_y, high_x, high_y = np.floor(polygon.bounds).astype(int).tolist()
+    centre_x_m, centre_y_m = np.arange(low_x, high_x + 1) + 0.5, np.arange(low_y, high_y + 1) + 0.5
+    inside = shapely.contains_xy(polygon, centre_x_m, centre_y_m[:, None])
+    if not inside.any():
+        return float(len(x_m) > 0)
+    column, row = np.floor(x_m).astype(int) - low_x, np.floor(y_m).astype(int) - low_y
+    is_near = (column >= 0) & (column < len(centre_x_m)) & (row >= 0) & (row < len(centre_y_m))
+    seen = np.zeros(inside.shape, bool)
+    seen[row[is_near], column[is_near]] = True
+    return float(seen[inside].mean())

@@ -18,7 +18,6 @@ from p2wss.data import polygon_arrays, tiling
 from p2wss.data.crs import check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
-from p2wss.skeleton.types import Polygons
 from p2wss.storage.features import Features
 from p2wss.storage.schemas.crops import CROPS
 
@@ -47,7 +46,9 @@ def crop_real(
     num_excluded = Counter(features["status"][~is_usable])
     features = features.take(is_usable)
     polygons = polygon_arrays.to_polygons(features.geometry)
-    cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)), classes)
+    # of the polygons (the tile if there are none) and the ground around them
+    bounds = tiling.bounds_of_points(*polygons.xy_m.T) or tiling.tile_bounds(tile, tile_size_m)
+    cloud = read_clouds(clouds, tiling.grown(bounds, GROUND_REACH_M), classes)
     check_crs(cloud.crs, features.crs, clouds[0], "the footprints are", "reproject one of them")
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)
@@ -64,8 +65,3 @@ def crop_real(
     columns["tile"] = np.full(len(selection), tile, dtype=object)
     columns["split"] = np.full(len(selection), "none", dtype=object)
     return columns, num_excluded
-
-
-def _window(polygons: Polygons, tile_bounds: tiling.Bounds) -> tiling.Bounds:
-    """Bounds of the points to read: the polygons (the tile if there are none) and the ground around them."""
-    return tiling.grown(tiling.bounds_of_points(*polygons.xy_m.T) or tile_bounds, GROUND_REACH_M)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,8 @@ def crop_columns(
     num_points = count_true(in_range, offset)[selection]
     point_offset = np.concatenate([[0], np.cumsum(num_points)])
     footprints = polygon_arrays.take(local, selection)
+    shapes = polygon_arrays.to_geometries(footprints)
+    xy_m, is_on = np.column_stack([x_cm[pairs], y_cm[pairs]]) / 100, on_roof[pairs]
     columns = {
         "num_points": num_points.astype(np.int32),
         "origin_x_m": origin_xy_m[selection, 0],
@@ -73,15 +76,10 @@ def crop_columns(
         **polygon_arrays.to_columns(footprints, np.zeros((len(selection), 2))),
         "ground_z_m": cropped.ground_z_m[selection],
         "num_roof_points": count_true(on_roof & in_range, offset)[selection].astype(np.int32),
-        "visible_roof_share": seen_share(
-            x_cm[pairs],
-            y_cm[pairs],
-            on_roof[pairs],
-            point_offset,
-            footprints.xy_m,
-            footprints.ring_offset,
-            footprints.polygon_offset,
-        ),
+        "visible_roof_share": [
+            seen_share(shape, *xy_m[first:last][is_on[first:last]].T)
+            for shape, (first, last) in zip(shapes, pairwise(point_offset), strict=True)
+        ],
     }
     return selection, columns
 

@@ -291,6 +291,16 @@ def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
     return codes[0] is not None and codes[0] == codes[1]
 
 
+def bounds_in_crs(bounds: Bounds, crs: str | pyproj.CRS, target_crs: Any) -> Bounds:
+    """The smallest window in ``target_crs`` that contains ``bounds`` in ``crs``; x comes first in both."""
+    source, target = pyproj.CRS.from_user_input(crs), pyproj.CRS.from_user_input(target_crs)
+    if same_crs(source, target):
+        return bounds
+    transformer = pyproj.Transformer.from_crs(source, target, always_xy=True)
+    west, south, east, north = transformer.transform_bounds(*bounds)
+    return west, south, east, north
+
+
 def check_crs(
     found: pyproj.CRS | None,
     expected: Any,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, NotRequired
+from typing import Annotated, Any, NotRequired
 
 import numpy as np
 import pyarrow as pa
@@ -18,13 +18,6 @@ from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.schemas.crops import SIMULATED
 
-
-class _Entry(TypedDict):
-    path: str
-    dataset: str
-    sha256: NotRequired[str | None]
-
-
 _Rank = Annotated[int, Field(ge=0, lt=2**64)]
 _Range = TypedDict("_Range", {"from": _Rank, "below": _Rank})
 
@@ -34,14 +27,8 @@ class _Selection(TypedDict):
     seed: NotRequired[int]
 
 
-class _Listing(TypedDict):
-    """What is read of a manifest."""
-
-    shards: list[_Entry]
-    selection: NotRequired[_Selection]
-
-
-class Shard(NamedTuple):
+@dataclass(frozen=True)
+class Shard:
     """A shard of crops. dataset: see :mod:`p2wss.storage.schemas.crops`; sha256: None if the manifest has none."""
 
     path: Path
@@ -57,6 +44,13 @@ class Shard(NamedTuple):
                 " (snakemake -R crops ..)"
             )
         return self.path
+
+
+class _Listing(TypedDict):
+    """What is read of a manifest."""
+
+    shards: list[Shard]
+    selection: NotRequired[_Selection]
 
 
 @dataclass(frozen=True)
@@ -114,10 +108,9 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
     content = files.read_json(path, _Listing, "a manifest of crops")
     shards = []
     with reading(path, "a manifest of crops"):  # a name may be none that a file can have
-        for entry in content["shards"]:
-            name = Path(entry["path"])
-            beside = Path(path).parent / name
-            shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
+        for shard in content["shards"]:
+            beside = Path(path).parent / shard.path
+            shards.append(replace(shard, path=beside) if beside.exists() else shard)
         if only is not None:
             listed = {os.path.abspath(shard.path): shard for shard in shards}
             wanted = {os.path.abspath(name) for name in only}

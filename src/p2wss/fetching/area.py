@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pyproj
 
 from p2wss.config import Config
-from p2wss.data.crs import parsed_crs
+from p2wss.data.crs import bounds_in_crs, parsed_crs
 from p2wss.data.terrain import write_terrain
 from p2wss.data.tiling import Bounds, are_near, grown, tile_bounds, tiles_of_bounds
 from p2wss.fetching.bdtopo import write_footprints
@@ -73,17 +73,10 @@ def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
         unit = "degrees" if stated.is_geographic else "metres"
         raise InputError(f"bbox {_text(bbox)}: not in {unit}, as {stated.name} requires; state its CRS")
     area = pyproj.CRS.from_user_input(region_crs).area_of_use
-    if area is not None and not are_near(area.bounds, _between(stated.to_wkt(), "EPSG:4326", bbox), 0):
+    if area is not None and not are_near(area.bounds, bounds_in_crs(bbox, stated, "EPSG:4326"), 0):
         unit = "degrees (longitude, latitude)" if in_degrees else "metres"
         raise InputError(f"{_text(bbox)}: {unit} outside {area.name}, where {region_crs} is used")
-    return _between(stated.to_wkt(), region_crs, bbox)
-
-
-def _between(source: str, target: str, bbox: Bounds) -> Bounds:
-    """A box in ``source`` as one in ``target``."""
-    transformer = pyproj.Transformer.from_crs(source, target, always_xy=True)
-    low_x, low_y, high_x, high_y = transformer.transform_bounds(*bbox)
-    return low_x, low_y, high_x, high_y
+    return bounds_in_crs(bbox, stated, region_crs)
 
 
 def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:

@@ -18,12 +18,12 @@ from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
 from p2wss.config import Folder
-from p2wss.data.crs import check_crs, horizontal, reprojected, same_crs
+from p2wss.data.crs import bounds_in_crs, check_crs, horizontal, reprojected, same_crs
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import read_header
-from p2wss.footprints.vector_files import decoded, layers_of
+from p2wss.footprints.vector_files import decoded, layer_info, layers_of
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_files import bounds_of
 from p2wss.storage.log_lines import log
@@ -64,23 +64,13 @@ class FolderSource:
     def lidar(self, bounds: Bounds) -> list[Path]:
         """See :class:`p2wss.fetching.source.Source`. Raises :class:`InputError` if no file overlaps ``bounds``."""
         files = list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
-        window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
+        window = bounds_in_crs(bounds, self.crs, self.config.lidar_crs or self.crs)
         paths = [path for path in files if _overlaps(path, window)]
         if not paths:
             raise InputError(
                 f"{self.config.lidar}: none of its {len(files)} files has points in {bounds_text(bounds)}"
             )
         return paths
-
-
-def reproject_bounds(bounds: Bounds, crs: str, target_crs: Any) -> Bounds:
-    """The smallest window in ``target_crs`` that contains ``bounds`` in ``crs``; x comes first in both."""
-    target = pyproj.CRS.from_user_input(target_crs)
-    if same_crs(pyproj.CRS.from_user_input(crs), target):
-        return bounds
-    transformer = pyproj.Transformer.from_crs(crs, target, always_xy=True)
-    west, south, east, north = transformer.transform_bounds(*bounds, densify_pts=21)
-    return west, south, east, north
 
 
 def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
@@ -122,12 +112,7 @@ def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
     Of a file with the bounding boxes in a covering column, as IGN's files are, only the row groups that intersect
     them are read.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    empty = pa.BufferOutputStream()
-    pq.write_table(pq.read_schema(path).empty_table(), empty)
-    window = _window(path, bounds, crs, gpd.read_parquet(pa.BufferReader(empty.getvalue())).crs)
+    window = _window(path, bounds, crs, layer_info(path)["crs"])
     try:
         return gpd.read_parquet(path, bbox=window)
     except ValueError as error:
@@ -142,7 +127,7 @@ def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
     if file_crs is None:
         return bounds
     try:
-        window = reproject_bounds(bounds, crs, file_crs)
+        window = bounds_in_crs(bounds, crs, file_crs)
     except pyproj.exceptions.ProjError:
         window = (np.inf, np.inf, np.inf, np.inf)
     if not np.isfinite(window).all():

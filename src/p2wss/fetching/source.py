@@ -9,7 +9,7 @@ import geopandas as gpd
 import numpy as np
 
 from p2wss.config import Fetch, Region
-from p2wss.data.crs import parsed_crs
+from p2wss.data.crs import bounds_in_crs, parsed_crs
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, bounds_text
 from p2wss.fetching.bdtopo import normalise
@@ -63,11 +63,7 @@ def read_buildings(
 def delivery_window(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:
     """The CRS in which the clouds are delivered, and the window in that CRS that contains ``bounds``."""
     crs = (config.folder.lidar_crs if config.source == "folder" else "") or region.crs
-    if crs == region.crs:
-        return crs, bounds
-    from p2wss.fetching.folder import reproject_bounds
-
-    return crs, reproject_bounds(bounds, region.crs, crs)
+    return crs, bounds_in_crs(bounds, region.crs, crs)
 
 
 def known_height_share(terrain: Terrain, bounds: Bounds, name: str) -> float:

@@ -217,8 +217,7 @@ def _grown(box: np.ndarray, margin_m: float) -> np.ndarray:
 
 def read_features(inputs: Inputs, settings: Reconstruct) -> Features:
     """The footprints of a run, in its CRS, not cleaned yet."""
-    if inputs.footprints is None:
-        raise ValueError("a run without footprints")
+    assert inputs.footprints is not None
     return read_footprints(
         inputs.footprints,
         settings.id_field or None,

@@ -116,9 +116,10 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         share_within_20cm = float((distance_m <= _NEAR_M).mean())
     is_fitted = status == "ok" and reconstruction.method != NETWORK
     is_far = residual_m > config.not_representable_m
-    visible_share = _visible_share(building, on_building) if building.rings else float("nan")
-    overhang_m = float("nan")
+    visible_share = overhang_m = float("nan")
     if building.rings:
+        # of points in whole centimetres, as those of crops
+        visible_share = seen_share(building.polygon, *np.round(building.point_m[on_building, :2], 2).T)
         overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
     is_reliable = status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5
     return Result(
@@ -170,18 +171,6 @@ def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndar
     if mesh is None or not len(point_m):
         return np.zeros(0)
     return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
-
-
-def _visible_share(building: Building, on_building: np.ndarray) -> float:
-    """Share of the cells with a point on the building, as ``visible_roof_share`` of the crops."""
-    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[on_building, :2].T * 100))
-    rings = [np.asarray(ring, float) for ring in building.rings]
-    ends = np.cumsum([0, *map(len, rings)])
-    offset = np.array([0, len(x_cm)])
-    share = seen_share(
-        x_cm, y_cm, np.ones(len(x_cm), bool), offset, np.concatenate(rings), ends, np.array([0, len(rings)])
-    )
-    return float(share[0])
 
 
 def summary(results: Iterable[Result | SceneBuilding]) -> str:

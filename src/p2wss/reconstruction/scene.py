@@ -586,11 +586,9 @@ def _reconstruct(
             log.info("%d plants", len(plants))
         run = Run(inputs, results, plants, points, facts, failures, resources.pop_all())
 
-    def building(number: int) -> SceneBuilding:
-        return _of_result(results[number], config)
-
     ids = rows["building_id"].tolist()
-    return Scene(ids, building, inputs.crs, config, stem, run, [plant.mesh for plant in plants])
+    crowns = [plant.mesh for plant in plants]
+    return Scene(ids, lambda k: _of_result(results[k], config), inputs.crs, config, stem, run, crowns)
 
 
 def read(path: str | Path) -> Scene:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inlined, inner
+from p2wss.skeleton.compiled import inlined, inner
 
 
 class TerrainGrid(NamedTuple):
@@ -78,24 +78,16 @@ def local_grid(
     )
 
 
-@entry
 def _ranges(height: np.ndarray, size: int) -> np.ndarray:
     """Lowest and highest cell centre of every block of ``size`` by ``size`` squares, float32 (.., .., 2)."""
-    rows, columns = height.shape
-    result = np.empty((max((rows - 2) // size + 1, 0), max((columns - 2) // size + 1, 0), 2), np.float32)
-    for i in range(result.shape[0]):
-        for j in range(result.shape[1]):
-            low, high = np.float32(np.inf), np.float32(-np.inf)
-            # a centre on the border of two blocks counts for both
-            for row in range(i * size, min((i + 1) * size + 1, rows)):
-                for column in range(j * size, min((j + 1) * size + 1, columns)):
-                    h = height[row, column]
-                    if np.isnan(h):
-                        low = np.float32(-np.inf)
-                    else:
-                        low, high = min(low, h), max(high, h)
-            result[i, j, 0], result[i, j, 1] = low, high
-    return result
+    known = np.where(np.isnan(height), np.float32(-np.inf), height)
+    rows, columns = (np.arange(0, count - 1, size) for count in height.shape)
+    ranges = []
+    for extreme in (np.minimum, np.maximum):
+        # of squares first: a centre on the border of two blocks counts for both
+        of_rows = extreme.reduceat(extreme(known[:-1], known[1:]), rows)
+        ranges.append(extreme.reduceat(extreme(of_rows[:, :-1], of_rows[:, 1:]), columns, axis=1))
+    return np.stack(ranges, axis=-1)
 
 
 @inlined

@@ -9,7 +9,7 @@ from p2wss import skeleton
 from p2wss.config import Scans
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
-from p2wss.scans import simulate
+from p2wss.scans.scan import simulate
 from p2wss.storage.schemas.buildings import BUILDINGS
 
 _TILE, _TILE_SIZE_M, _MARGIN_M = "0652500_6862000", 100.0, 40.0

@@ -14,7 +14,7 @@ import numpy as np
 from p2wss.config import Scenes
 from p2wss.config.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.data.seeds import generator
-from p2wss.skeleton.types import Polygons
+from p2wss.skeleton.types import Polygons, cross
 
 SLOPES_DEG = np.arange(MIN_SLOPE_DEG, MAX_SLOPE_DEG + 1)
 ANGLES_DEG = np.array([FLAT_DEG, VERTICAL_DEG, *SLOPES_DEG])
@@ -125,9 +125,8 @@ def _draw_realistic(
 def _turns(vector_m: np.ndarray, next_edge: np.ndarray) -> np.ndarray:
     """Turn to the left at the start of each edge, degrees, -180..180; negative at a reflex corner."""
     following = vector_m[next_edge]
-    cross = vector_m[:, 0] * following[:, 1] - vector_m[:, 1] * following[:, 0]
     turn = np.empty(len(vector_m))
-    turn[next_edge] = np.degrees(np.arctan2(cross, (vector_m * following).sum(axis=1)))
+    turn[next_edge] = np.degrees(np.arctan2(cross(vector_m, following), (vector_m * following).sum(axis=1)))
     return turn
 
 
@@ -171,9 +170,8 @@ def _gable_ends(
 
 def _is_parallel(vectors_m: np.ndarray, vector_m: np.ndarray) -> np.ndarray:
     """Which of ``vectors_m`` (n, 2) are parallel to ``vector_m`` (2,), within 12 degrees, bool (n,)."""
-    cross = np.abs(vectors_m[:, 0] * vector_m[1] - vectors_m[:, 1] * vector_m[0])
     lengths = np.hypot(*vectors_m.T) * np.hypot(*vector_m)
-    return cross <= np.sin(np.radians(_PARALLEL_DEG)) * lengths
+    return np.abs(cross(vectors_m, vector_m)) <= np.sin(np.radians(_PARALLEL_DEG)) * lengths
 
 
 def _draw_slopes(

@@ -145,12 +145,8 @@ def test_empty_polygons_and_no_points():
 
 
 def test_seen_share_counts_cells_of_one_metre():
-    polygons = to_polygons([shapely.box(0, 0, 4, 3), shapely.box(0.1, 0.1, 0.3, 0.3)])
-    x_cm = np.array([50, 60, 150, 350, 450, 20], np.int16)
-    y_cm = np.array([50, 60, 50, 250, 50, 20], np.int16)
-    roof = np.array([True, True, False, True, True, True])
-    offset = np.array([0, 5, 6])
-    shares = seen_share(
-        x_cm, y_cm, roof, offset, polygons.xy_m, polygons.ring_offset, polygons.polygon_offset
-    )
-    np.testing.assert_allclose(shares, [2 / 12, 1.0])
+    x_m, y_m = np.array([0.5, 0.6, 3.5, 4.5]), np.array([0.5, 0.6, 2.5, 0.5])
+    assert seen_share(shapely.box(0, 0, 4, 3), x_m, y_m) == 2 / 12
+    without_cell = shapely.box(0.1, 0.1, 0.3, 0.3)
+    assert seen_share(without_cell, x_m[:1], y_m[:1]) == 1 and seen_share(without_cell, x_m[:0], y_m[:0]) == 0
+    assert seen_share(shapely.Polygon(), x_m, y_m) == 0

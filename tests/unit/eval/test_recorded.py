@@ -13,8 +13,8 @@ import shapely
 from places import SHARED
 from scipy.spatial import cKDTree
 
-from p2wss import crops
 from p2wss.config import Config, Eval, Reconstruct, load, roofer_command
+from p2wss.crops.real import crop_real
 from p2wss.data.building import Reconstruction
 from p2wss.eval import cases, measure, methods, tables
 from p2wss.footprints import cleaning
@@ -35,7 +35,7 @@ def real_cases(folder: str, cloud: str, tile: str, crs: int) -> list[cases.Case]
     features = cleaning.read_footprints(DATA / folder / "footprints.gpkg")
     moved = Features.of(features.to_frame().to_crs(crs))
     features = cleaning.clean_footprints(moved, config.scenes)
-    columns, _ = crops.crop_real(features, [DATA / folder / cloud], tile, 1000, config.crops)
+    columns, _ = crop_real(features, [DATA / folder / cloud], tile, 1000, config.crops)
     table = pa.table({field.name: pa.array(columns[field.name], field.type) for field in CROPS})
     return cases.from_crops(table, REAL)
 

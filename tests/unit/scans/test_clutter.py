@@ -5,8 +5,8 @@ import pytest
 import shapely
 from toy_scene import TILE, TILE_SIZE_M, ground_m, house, houses, table, terrain
 
-from p2wss import scans
 from p2wss.config import Clutter, Scans
+from p2wss.scans import scan as scans
 from p2wss.scans.surface import ClutterKind, las_classes
 
 NOTHING = dict.fromkeys(Clutter.model_fields, 0) | {"eave_overhang_m": (0, 0)}

@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from toy_scene import TILE, TILE_SIZE_M, houses, table, terrain
 
-from p2wss import scans
 from p2wss.config import Scans
+from p2wss.scans import scan as scans
 from p2wss.scans.picture import GROUND_COLOR, TREE_COLOR, densest_place, scan_figure
 from p2wss.scans.surface import las_classes
 

@@ -10,10 +10,10 @@ import pyproj
 import pytest
 from toy_scene import TILE, TILE_SIZE_M, ground_m, house, houses, scans_inputs, table, terrain, write_scene
 
-from p2wss import scans
 from p2wss.cli import main
 from p2wss.config import Scans
 from p2wss.data.terrain import Terrain
+from p2wss.scans import scan as scans
 from p2wss.storage.errors import InputError
 
 SETTINGS = Scans(preset="none", density_per_m2=10)

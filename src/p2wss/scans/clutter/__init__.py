@@ -21,8 +21,6 @@ from p2wss.scans.surface import (
     Surface,
 )
 
-__all__ = ["LocalBuildings", "add_clutter"]
-
 
 def add_clutter(
     surface: Surface, buildings: LocalBuildings, settings: Clutter

@@ -7,13 +7,13 @@ import shapely
 
 from p2wss.data.polygon_arrays import to_geometries
 from p2wss.scans.clutter.buildings import (
+    STREAM_STEP,
     ClutterTriangles,
     LocalBuildings,
     between,
     blocks,
     draw_buildings,
     draw_edges,
-    draw_for_all,
     left_of,
     rectangles,
 )
@@ -65,7 +65,7 @@ def trees(terrain: TerrainGrid, buildings: LocalBuildings, mean: float) -> Clutt
 
     ``mean`` is the number of trees per building on average. No trunk stands on a footprint.
     """
-    draws = draw_for_all(buildings, ClutterKind.TREE, 1 + 8 * _MAX_TREES)
+    draws = uniforms(buildings.key, ClutterKind.TREE * STREAM_STEP, 1 + 8 * _MAX_TREES)
     # Poisson numbers by inversion
     term = np.exp(-mean) * np.cumprod(np.concatenate([[1.0], mean / np.arange(1, _MAX_TREES)]))
     num_trees = np.searchsorted(np.cumsum(term), draws[:, 0])

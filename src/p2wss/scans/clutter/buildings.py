@@ -11,7 +11,7 @@ from p2wss.scans.randomness import uniforms
 from p2wss.skeleton.types import Polygons
 
 _NUM_DRAWS = 64  # uniform draws per building and stream
-_STREAM_STEP = 2**20  # between the first draws of two streams
+STREAM_STEP = 2**20  # between the first draws of two streams
 
 
 class LocalBuildings(NamedTuple):
@@ -33,14 +33,9 @@ def draw_buildings(buildings: LocalBuildings, stream: int, share: float) -> tupl
 
     ``stream`` numbers what is drawn, a :class:`surface.ClutterKind` for clutter.
     """
-    first_draw = uniforms(buildings.key, stream * _STREAM_STEP, 1)[:, 0]
+    first_draw = uniforms(buildings.key, stream * STREAM_STEP, 1)[:, 0]
     rows = np.flatnonzero((first_draw < share) & (np.diff(buildings.polygons.polygon_offset) > 0))
-    return rows, uniforms(buildings.key[rows], stream * _STREAM_STEP + 1, _NUM_DRAWS)
-
-
-def draw_for_all(buildings: LocalBuildings, stream: int, count: int) -> np.ndarray:
-    """``count`` uniform draws for every building, float64 (n, count)."""
-    return uniforms(buildings.key, stream * _STREAM_STEP, count)
+    return rows, uniforms(buildings.key[rows], stream * STREAM_STEP + 1, _NUM_DRAWS)
 
 
 def between(u: np.ndarray, low: float, high: float) -> np.ndarray:

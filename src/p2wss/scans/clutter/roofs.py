@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.scans.surface import Surface
-from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.types import FaceKind, cross
 
 NUM_TRIES = 4  # places that are tried for an object that must fit on a roof
 
@@ -97,9 +96,7 @@ def fitting_anchors(
         tried = _draw_anchors(roofs, rows[pending], u[pending, 3 * attempt : 3 * attempt + 3])
         fits = (tried.slope >= slopes[0]) & (tried.slope <= slopes[1])
         face = tried.face if on_one_face else np.full(len(pending), -1, np.int32)
-        fits &= _are_over_roof(
-            outline(tried, pending), tried.row, face, roofs.corner_m, roofs.face, roofs.offset
-        )
+        fits &= _are_over_roof(outline(tried, pending), tried.row, face, roofs)
         indices.append(pending[fits])
         anchors.append(Anchors(*(column[fits] for column in tried)))
         pending = pending[~fits]
@@ -108,35 +105,17 @@ def fitting_anchors(
     )
 
 
-@entry
-def _are_over_roof(
-    xy: np.ndarray,
-    row: np.ndarray,
-    face: np.ndarray,
-    corner: np.ndarray,
-    faces: np.ndarray,
-    offset: np.ndarray,
-) -> np.ndarray:
+def _are_over_roof(xy: np.ndarray, row: np.ndarray, face: np.ndarray, roofs: Roofs) -> np.ndarray:
     """Which objects have all their corners xy (k, p, 2) over the roof of building ``row``, over the face
     ``face`` only unless it is -1; bool (k,)."""
-    result = np.ones(len(xy), np.bool_)
-    for k in range(len(xy)):
-        for p in range(xy.shape[1]):
-            x, y = xy[k, p, 0], xy[k, p, 1]
-            inside = False
-            for t in range(offset[row[k]], offset[row[k] + 1]):
-                if face[k] >= 0 and faces[t] != face[k]:
-                    continue
-                sides = 0
-                for i in range(3):
-                    ax, ay = corner[t, i, 0], corner[t, i, 1]
-                    bx, by = corner[t, (i + 1) % 3, 0], corner[t, (i + 1) % 3, 1]
-                    cross = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-                    sides += (cross >= 0) - (cross <= 0)
-                if abs(sides) >= 2:
-                    inside = True
-                    break
-            if not inside:
-                result[k] = False
-                break
-    return result
+    count = np.diff(roofs.offset)[row]
+    anchor = np.repeat(np.arange(len(row)), count)
+    triangle = np.arange(len(anchor)) + np.repeat(roofs.offset[row] + count - np.cumsum(count), count)
+    is_own = (face[anchor] < 0) | (roofs.face[triangle] == face[anchor])
+    anchor, triangle = anchor[is_own], triangle[is_own]
+    start = roofs.corner_m[triangle, None, :, :2]
+    side = cross(np.roll(start, -1, axis=2) - start, xy[anchor, :, None] - start)
+    is_in_triangle = np.abs((side >= 0).sum(axis=2) - (side <= 0).sum(axis=2)) >= 2
+    is_over = np.zeros(xy.shape[:2], bool)
+    np.logical_or.at(is_over, anchor, is_in_triangle)
+    return np.asarray(is_over.all(axis=1))
