@@ -76,10 +76,13 @@ def crop_columns(
         **polygon_arrays.to_columns(footprints, np.zeros((len(selection), 2))),
         "ground_z_m": cropped.ground_z_m[selection],
         "num_roof_points": count_true(on_roof & in_range, offset)[selection].astype(np.int32),
-        "visible_roof_share": [
-            seen_share(shape, *xy_m[first:last][is_on[first:last]].T)
-            for shape, (first, last) in zip(shapes, pairwise(point_offset), strict=True)
-        ],
+        "visible_roof_share": np.array(
+            [
+                seen_share(shape, *xy_m[first:last][is_on[first:last]].T)
+                for shape, (first, last) in zip(shapes, pairwise(point_offset), strict=True)
+            ],
+            np.float32,
+        ),
     }
     return selection, columns
 
