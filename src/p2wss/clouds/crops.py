@@ -100,7 +100,7 @@ def ground_height(
     It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it, or at most 4 m
     away if these are fewer than five. If there are few again, it is the :func:`low_height` of the lowest points at most
     32 m away, or 52 m (where one is enough), of ground or without class. So it is where most points in the ring have no
-    class, nor have most of the lowest points that are not well above: ground points are strays then, as on roofs.
+    class and are not well above, if that holds for the lowest points, too: ground points are strays then, as on roofs.
     first_ring: the result of :func:`crop_points` for 1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
@@ -117,7 +117,8 @@ def ground_height(
         counts, height_m = ring_medians(cloud.z_m, is_ground, *crop)
         is_enough = counts >= _MIN_GROUND_POINTS
         result[pending[is_enough]] = height_m[is_enough]
-        is_doubtful[pending] = ring_medians(cloud.z_m, is_unclassified, *crop)[0] > counts
+        num_other, other_m = ring_medians(cloud.z_m, is_unclassified, *crop)
+        is_doubtful[pending] = (num_other > counts) & ~(other_m > height_m + _NOT_GROUND_M)
         pending = pending[~is_enough]
     is_doubtful[pending] = True
     pending = np.flatnonzero(is_doubtful)
