@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.mesh.meeting import EXACT_M, equations, is_near, points
-from p2wss.mesh.shell_kernels import Triangles, doubled_area, is_thin, planes_at, planes_of
+from p2wss.mesh.shell_kernels import Triangles, doubled_area, planes_at, planes_of
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.groups import find_reverses, num_slots
 from p2wss.skeleton.ordering import sorted_by
@@ -94,47 +94,50 @@ def beside_edge(
 
 @entry
 def contracted(
-    mesh: Triangles, is_changed: np.ndarray, end: int, gone: int, short_m: float, walls_stay: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
-    """(vertices (v, 3), triangles (t, 3), which triangle each was, how many of the first did not change, how many more
-    of the others have no height) after the least changes of planes for which the ends of an edge become one vertex; no
-    triangle where that is not possible. With the same end twice, planes meet where they are.
-
-    is_changed: bool (t,), the triangles that are looked at.
-    """
-    vertex_m, triangle = mesh.vertex_m, mesh.triangle
-    near, far = np.flatnonzero(is_changed), np.flatnonzero(~is_changed)
-    own, kind, label = triangle[near], mesh.kind[near], mesh.label[near]
-    joined, stays = own.copy(), np.ones(len(near), np.bool_)
-    is_free, is_on_floor = np.zeros(mesh.label.max() + 1, np.bool_), False
-    for t in range(len(own)):
+    mesh: Triangles, end: int, gone: int, short_m: float, walls_stay: bool
+) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
+    """(whether that is possible, vertices (v, 3), triangles (t, 3), which of them are left, bool (t,)) after the least
+    changes of planes for which the ends of an edge become one vertex. With the same end twice, planes meet where they
+    are."""
+    vertex_m, triangle, kind, label = mesh
+    joined, stays = triangle.copy(), np.ones(len(triangle), np.bool_)
+    is_free, is_on_floor = np.zeros(label.max() + 1, np.bool_), False
+    for t in range(len(triangle)):
         has_end, has_gone = False, False
         for k in range(3):
-            has_end |= own[t, k] == end
-            if own[t, k] == gone:
+            has_end |= triangle[t, k] == end
+            if triangle[t, k] == gone:
                 has_gone, joined[t, k] = True, end
         stays[t] = gone == end or not (has_end and has_gone)
         is_on_floor |= has_gone and kind[t] == _GROUND
     if not walls_stay:
-        vertex, plane = planes_at(own, label, len(vertex_m))
+        vertex, plane = planes_at(triangle, label, len(vertex_m))
         for k, v in enumerate(vertex):
             # planes at one of the ends only
             if v in (end, gone):
                 is_free[plane[k]] = not is_free[plane[k]]
-    is_met, moved_m = _met(Triangles(vertex_m, own, kind, label), joined, end, gone, short_m, is_free)
-    if gone != end and not is_met and not is_on_floor:
-        rest = Triangles(vertex_m, joined[stays], kind[stays], label[stays])
-        is_free[:] = False
-        is_met, moved_m = _met(rest, rest.triangle, end, end, short_m, is_free)
-    if not is_met:
-        return vertex_m, triangle[:0], near[:0], 0, 0
-    left, num_thin = joined[stays], 0
-    for t in range(len(left)):
-        num_thin += is_thin(moved_m, left[t])
-    for t in range(len(own)):
-        num_thin -= is_thin(vertex_m, own[t])
-    origin = np.concatenate((far, near[stays]))
-    return moved_m, np.concatenate((triangle[far], left)), origin, len(far), num_thin
+    tried, place, origin, is_met, moved_m = mesh, joined, gone, False, vertex_m
+    # the planes of both ends first, then those that are left without the edge
+    for attempt in range(1 if gone == end or is_on_floor else 2):
+        if attempt == 1:
+            tried, origin = _left(Triangles(vertex_m, joined, kind, label), stays), end
+            place, is_free[:] = tried.triangle, False
+        is_met, moved_m = _met(tried, place, end, origin, short_m, is_free)
+        if is_met:
+            break
+    return is_met, moved_m, joined, stays
+
+
+@allocating
+def _left(mesh: Triangles, stays: np.ndarray) -> Triangles:
+    """Those triangles that stay, bool (t,)."""
+    triangle, kind, label, num = mesh.triangle.copy(), mesh.kind.copy(), mesh.label.copy(), 0
+    for t in range(len(stays)):
+        if stays[t]:
+            for k in range(3):
+                triangle[num, k] = triangle[t, k]
+            kind[num], label[num], num = kind[t], label[t], num + 1
+    return Triangles(mesh.vertex_m, triangle[:num], kind[:num], label[:num])
 
 
 @allocating
@@ -154,14 +157,11 @@ def _met(
     first_m = vertex_m.copy()
     # either of the ends tells where its planes are, as they are linear
     first_m[end] = vertex_m[min(end, gone)]
-    without_turns = np.zeros((0, 4, 3))
     for turns in (False, True):
         row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, is_free, turns)
-        if turns and not (scale != without_turns).any():
-            break
-        without_turns = scale
-        counts = np.full(num_vertices, end < 0)
-        counts[end] = True
+        counts = np.zeros(num_vertices, np.bool_)
+        for v in range(num_vertices):
+            counts[v] = end < 0 or v == end
         point_m, apart_m = points(first_m, row, scale, at, plane_at, counts, walls_stay)
         if apart_m.max() > _PLANAR_M:
             continue

@@ -9,7 +9,7 @@ import numpy as np
 from p2wss.mesh import contraction
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
-from p2wss.mesh.shell_kernels import NO_HEIGHT_M, can_merge, planes_at, thin_triangles
+from p2wss.mesh.shell_kernels import NO_HEIGHT_M, Triangles, can_merge, planes_at, thin_triangles
 from p2wss.mesh.topology import first_of_faces
 from p2wss.mesh.triangulation import triangulated_in_space
 
@@ -49,8 +49,7 @@ def _without_slivers(mesh: Mesh) -> Mesh:
 def _with_planes(mesh: Mesh) -> Mesh:
     """The mesh with planar walls and roofs, if it stays valid."""
     flipped = _flipped(mesh)
-    everything = np.ones(len(flipped.triangle), bool)
-    moved_m, *_ = contraction.contracted(flipped.arrays, everything, -1, -1, 0.0, True)
+    _, moved_m, *_ = contraction.contracted(flipped.arrays, -1, -1, 0.0, True)
     if (moved_m == flipped.vertex_m).all():
         return flipped
     result = flipped.moved(moved_m)
@@ -103,24 +102,23 @@ def _without_edge(
     """The mesh in which the ends of an edge are one vertex, None if its planes do not meet there, or if a vertex comes
     to where another one is, as where four walls share an upright edge, or beyond. is_near: bool (t,), the triangles
     that may change, and those of planes that meet theirs: the others are not looked at, but for crossings."""
-    vertex_m, triangle, like, num_same, num_thin = contraction.contracted(
-        mesh.arrays, is_near, end, gone, short_m, walls_stay
-    )
-    if not len(like):
+    near = Triangles(mesh.arrays.vertex_m, *(each[is_near] for each in mesh.arrays[1:]))
+    is_possible, vertex_m, joined, stays = contraction.contracted(near, end, gone, short_m, walls_stay)
+    if not is_possible:
         return None
-    triangle, kind, label = triangle.astype(mesh.triangle.dtype), mesh.kind[like], mesh.label[like]
-    result = Mesh(vertex_m, triangle, kind, label)
-    if num_thin > 0:
-        same, near = slice(None, num_same), slice(num_same, None)
-        changed = _flipped(Mesh(vertex_m, triangle[near], kind[near], label[near]))
-        parts = (triangle[same], changed.triangle), (kind[same], changed.kind), (label[same], changed.label)
-        result = Mesh(vertex_m, *map(np.concatenate, parts))
-        if thin_triangles(result.arrays)[near].sum() > thin_triangles(mesh.arrays)[is_near].sum():
-            # the other end of a step that went, or a vertex that a wall now passes through
-            result = _without_short_edges(result, NO_HEIGHT_M, walls_stay, set())
-            num_same, is_near = 0, np.ones(len(mesh.triangle), bool)
-            if thin_triangles(result.arrays).sum() > thin_triangles(mesh.arrays).sum():
-                return None
+    changed = Mesh(vertex_m, joined[stays], near.kind[stays], near.label[stays])
+    num_thin = thin_triangles(near).sum()
+    if thin_triangles(changed.arrays).sum() > num_thin:
+        changed = _flipped(changed)
+    parts = (mesh.triangle, changed.triangle), (mesh.kind, changed.kind), (mesh.label, changed.label)
+    result = Mesh(vertex_m, *(np.concatenate([old[~is_near], new]).astype(old.dtype) for old, new in parts))
+    num_same = len(result.triangle) - len(changed.triangle)
+    if thin_triangles(changed.arrays).sum() > num_thin:
+        # the other end of a step that went, or a vertex that a wall now passes through
+        result = _without_short_edges(result, NO_HEIGHT_M, walls_stay, set())
+        num_same, is_near = 0, np.ones(len(mesh.triangle), bool)
+        if thin_triangles(result.arrays).sum() > thin_triangles(mesh.arrays).sum():
+            return None
     return result if _is_as_valid(result, mesh, num_same, is_near) else None
 
 

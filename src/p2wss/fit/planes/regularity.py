@@ -50,9 +50,13 @@ def _regular(
             turned = _along(point_m, rows, bearing - turn, settings.noise_m)
             if mean_distance(turned, point_m, rows) < most_m:
                 result[i] = turned
-    by_size = np.argsort(-np.diff(begin), kind="mergesort")
+    size = np.diff(begin)
+    by_size = sorted_by(size.max() - size, size.max() + 1)[1]
     result = _equally_steep(result, point_m, rows_of, by_size, settings.simpler_m)
-    return result[_same(result, point_m, rows_of, by_size, settings.simpler_m)]
+    for i, other in enumerate(_same(result, point_m, rows_of, by_size, settings.simpler_m)):
+        # one that others are like is its own
+        result[i] = result[other]
+    return result
 
 
 @allocating
@@ -101,8 +105,9 @@ def _same(
     same, num_larger = np.arange(len(plane)), 0
     larger = np.empty(len(plane), np.int64)
     for j in by_size:
-        rows = rows_of[j]
-        x, y = point_m[rows, 0].mean(), point_m[rows, 1].mean()
+        rows, x, y = rows_of[j], 0.0, 0.0
+        for row in rows:
+            x, y = x + point_m[row, 0] / len(rows), y + point_m[row, 1] / len(rows)
         own_m = plane[j, 0] * x + plane[j, 1] * y + plane[j, 2]
         most_m = mean_distance(plane[j], point_m, rows) + slack_m
         for i in larger[:num_larger]:
