@@ -21,7 +21,6 @@ from p2wss.storage.provenance import fingerprint
 @config_option
 def buildings(scene: Path, out: Path, config: Config) -> None:
     """Build the closed meshes of one scene."""
-
     from p2wss.scenes.buildings import build_scene, failed_fraction
     from p2wss.storage.schemas.buildings import BUILDINGS
     from p2wss.storage.schemas.scene import read_scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.mesh.meeting import EXACT_M, equations, is_near, points
+from p2wss.mesh.meeting import EXACT_M, NO_AREA_M2, equations, is_near, points
 from p2wss.mesh.shell_kernels import Triangles, doubled_area, planes_at, planes_of
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.groups import find_reverses, num_slots
@@ -15,8 +15,6 @@ from p2wss.skeleton.types import FaceKind
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
 # ends that are nearer to each other may be one vertex in a file
 _MERGED_M = 2e-3
-# a triangle is turned over if twice its area along its former normal is less than minus this
-_NO_AREA_M2 = 1e-6
 _GROUND, _WALL = int(FaceKind.GROUND), int(FaceKind.WALL)
 
 
@@ -30,19 +28,14 @@ def _length_m(vertex_m: np.ndarray, start: int, end: int) -> float:
 
 @entry
 def short_edges(mesh: Triangles, short_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """(ends (k, 2) of the edges shorter than ``short_m``, each once, in the order of the triangles; their lengths)."""
-    vertex_m, triangle = mesh.vertex_m, mesh.triangle
-    ends, length_m, num = np.empty((3 * len(triangle), 2), np.int64), np.empty(3 * len(triangle)), 0
+    """(ends (k, 2) of those sides of triangles that are shorter than ``short_m``; their lengths)."""
+    triangle, num = mesh.triangle, 0
+    ends, length_m = np.empty((3 * len(triangle), 2), np.int64), np.empty(3 * len(triangle))
     for t in range(len(triangle)):
         for k in range(3):
             start, end = triangle[t, k], triangle[t, (k + 1) % 3]
-            length = _length_m(vertex_m, start, end)
-            is_new = length < short_m
-            for before in range(num if is_new else 0):
-                one, other = ends[before]
-                is_new &= (one != start or other != end) and (one != end or other != start)
-            if is_new:
-                ends[num, 0], ends[num, 1], length_m[num], num = start, end, length, num + 1
+            ends[num, 0], ends[num, 1], length_m[num] = start, end, _length_m(mesh.vertex_m, start, end)
+            num += length_m[num] < short_m
     return ends[:num].copy(), length_m[:num].copy()
 
 
@@ -76,11 +69,8 @@ def beside_edge(
     for k, p in enumerate(plane):
         is_place[vertex[k]] |= is_moved[p]
     # and the planes that meet them
-    is_moved[:] = False
     for k, p in enumerate(plane):
         is_moved[p] |= is_place[vertex[k]]
-    is_place[:] = False
-    is_place[end] = is_place[gone] = True
     for k, p in enumerate(plane):
         is_place[vertex[k]] |= is_moved[p]
     result = np.empty(len(triangle), np.bool_)
@@ -194,7 +184,7 @@ def _met(
 @inner
 def _is_turned_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> bool:
     x, y, z = doubled_area(vertex_m, triangle)
-    return x * normal[0] + y * normal[1] + z * normal[2] < -_NO_AREA_M2
+    return x * normal[0] + y * normal[1] + z * normal[2] < -NO_AREA_M2
 
 
 @entry

@@ -38,7 +38,7 @@ _MANY_MEETINGS = 200
 # so many planes and places that depend on each other are solved for together
 _TOGETHER = 60
 # a triangle is turned over if twice its area along its former normal is less than minus this
-_NO_AREA_M2 = 1e-6
+NO_AREA_M2 = 1e-6
 
 
 def with_meeting_planes(
@@ -184,7 +184,7 @@ def is_near(
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
     """bool (t,): which triangles of a mesh face the other way than the planes that they had before."""
     normal = before.planes.normal[before.number]
-    return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2)
+    return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -NO_AREA_M2)
 
 
 @allocating

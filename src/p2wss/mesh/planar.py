@@ -78,7 +78,10 @@ def _without_shortest(
     vertex_m, triangle, _, label = mesh.arrays
     vertex, plane = planes_at(triangle, label, len(vertex_m))
     begin = np.searchsorted(vertex, np.arange(len(vertex_m) + 1))
-    for end, gone in ends[np.argsort(length_m, kind="stable")].tolist():
+    ends = ends[np.argsort(length_m, kind="stable")]
+    # each edge once, not for both its triangles
+    once = np.unique(np.sort(ends) @ [len(vertex_m), 1], return_index=True)[1]
+    for end, gone in ends[np.sort(once)].tolist():
         planes = [plane[begin[v] : begin[v + 1]] for v in (end, gone)]
         around = frozenset(each.tobytes() for each in planes)
         if around in kept or not can_merge(triangle, len(vertex_m), end, gone):

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import RoofPlanes, fit, mean_distance
 from p2wss.fit.settings import Detection
+from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.ordering import median, sorted_by
 
@@ -21,13 +23,18 @@ def regular(
     planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float], settings: Detection
 ) -> np.ndarray:
     """Planes (k, 3) near to those detected, some of them the same. along: directions of the footprint, radians."""
-    return np.asarray(_regular(planes.plane, planes.label, point_m, np.array(along, float), settings))
+    bearing = bearings(planes.plane[:, :2])
+    turns = turn_between(bearing[:, None], np.array(along))
+    turn = turns[np.arange(len(turns)), np.abs(turns).argmin(axis=1)]
+    towards = np.where(np.abs(turn) < _NEARLY_ALONG, bearing - turn, np.nan)
+    return np.asarray(_regular(planes.plane, planes.label, point_m, towards, settings))
 
 
 @entry
 def _regular(
-    plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, along: np.ndarray, settings: Detection
+    plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, towards: np.ndarray, settings: Detection
 ) -> np.ndarray:
+    """The same. towards: (k,), the direction along which each plane may rise, radians, not a number for none."""
     begin, order = sorted_by(label, len(plane))
     rows_of = [order[begin[i] : begin[i + 1]] for i in range(len(plane))]
     result = plane.copy()
@@ -40,14 +47,8 @@ def _regular(
         ):
             result[i] = level
             continue
-        bearing = np.arctan2(plane[i, 1], plane[i, 0])
-        # from the nearest direction, modulo a quarter, within an eighth either way
-        turn = np.inf
-        for each in along:
-            here = (bearing - each + np.pi / 4) % (np.pi / 2) - np.pi / 4
-            turn = here if abs(here) < abs(turn) else turn
-        if abs(turn) < _NEARLY_ALONG:
-            turned = _along(point_m, rows, bearing - turn, settings.noise_m)
+        if not np.isnan(towards[i]):
+            turned = _along(point_m, rows, towards[i], settings.noise_m)
             if mean_distance(turned, point_m, rows) < most_m:
                 result[i] = turned
     size = np.diff(begin)
@@ -65,7 +66,7 @@ def _at_median(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> np.n
     above_m = np.empty(len(rows))
     for k, row in enumerate(rows):
         above_m[k] = point_m[row, 2] - point_m[row, 0] * plane[0] - point_m[row, 1] * plane[1]
-    return np.array([plane[0], plane[1], median(above_m, len(rows)) if len(rows) else plane[2]])
+    return np.array([plane[0], plane[1], median(above_m, len(rows))])
 
 
 @allocating
