@@ -334,8 +334,9 @@ def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.nd
     Times are seconds since the epoch, less 1e9 (LAS 1.4, "adjusted standard GPS time"), or seconds of an unknown week.
     Files say which, but not all are right: no week has more than 604,800 seconds.
     """
-    created = header.creation_date
-    day = np.full(len(points), 0 if created is None else max((created - GPS_EPOCH).days, 0), np.uint16)
+    # some programs write years that are centuries ahead
+    created = 0 if header.creation_date is None else (header.creation_date - GPS_EPOCH).days
+    day = np.full(len(points), created if 0 < created < 2**16 else 0, np.uint16)
     if "gps_time" not in points.point_format.dimension_names:
         return day
     time_s = np.asarray(points.gps_time)

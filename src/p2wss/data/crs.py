@@ -22,6 +22,7 @@ from p2wss.storage.las_crs import (
     unit_m,
     vertical_part,
 )
+from p2wss.storage.las_crs import horizontal as horizontal
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -203,7 +204,7 @@ def metric_crs(
         note = f"the clouds are in {source.name}, {why}; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, vertical_m), note
     if horizontal_m == 1.0 and vertical_m == 1.0:
-        return MetricCrs(source, source), None
+        return MetricCrs(source, flat if source.is_bound else source), None
     crs = _in_metres(flat) if horizontal_m != 1.0 else flat
     if source.is_compound and source.sub_crs_list[1].name != UNKNOWN:
         vertical = _in_metres(source.sub_crs_list[1])
@@ -275,11 +276,6 @@ def parsed_crs(stated: str, where: str) -> pyproj.CRS:
         return pyproj.CRS.from_user_input(stated)
     except pyproj.exceptions.CRSError as error:
         raise InputError(f"{where} {stated}: no such CRS; state one such as EPSG:28992") from error
-
-
-def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
-    """The horizontal part of a compound or 3D CRS."""
-    return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
 def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:

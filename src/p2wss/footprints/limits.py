@@ -97,7 +97,9 @@ def _thinned_ring(xy: np.ndarray, tolerance_m: float) -> np.ndarray:
     if len(thinned) > _MAX_THINNED:
         return xy
     half = len(thinned) // 2
-    halves = np.array([shapely.LineString(thinned[: half + 1]), shapely.LineString(thinned[half:])])
+    # of a ring shorter than the tolerance, two vertices are left
+    rest = thinned[min(half, len(thinned) - 2) :]
+    halves = np.array([shapely.LineString(thinned[: half + 1]), shapely.LineString(rest)])
     first_half, second_half = shapely.simplify(halves, tolerance_m / 2, preserve_topology=False)
     return np.concatenate([shapely.get_coordinates(first_half), shapely.get_coordinates(second_half)[1:]])
 

@@ -95,7 +95,8 @@ def read_vector(
         try:
             shapes = shapely.from_wkb(wkb)
         except shapely.errors.GEOSException:
-            shapes = shapely.from_wkb([each and _plain_wkb(each) for each in wkb], "ignore")
+            # rings that do not end where they begin are closed
+            shapes = shapely.from_wkb([each and _plain_wkb(each) for each in wkb], "fix")
         crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
         features = Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs)
     if of != "polygons":
@@ -273,9 +274,11 @@ def _geoparquet_info(path: Path) -> dict[str, Any]:
     primary = geo.get("primary_column")
     column = geo.get("columns", {}).get(primary)
     names = [name for name in stored.schema.to_arrow_schema().names if name != primary]
+    # before version 1.0, one kind could be there as text
+    kinds = [] if column is None else column.get("geometry_types", column.get("geometry_type"))
     return {
         "features": stored.num_rows,
-        "geometry_type": None if column is None else " ".join(column["geometry_types"]) or "Unknown",
+        "geometry_type": None if column is None else " ".join(np.atleast_1d(kinds)) or "Unknown",
         "fields": names,
         "crs": None if column is None else column.get("crs", "OGC:CRS84"),
         "total_bounds": column and column.get("bbox") and np.reshape(column["bbox"], (2, -1))[:, :2].ravel(),

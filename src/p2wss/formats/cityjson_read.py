@@ -26,8 +26,9 @@ _KIND = {
 # city objects that are read: buildings and plants
 _TYPES = ("Building", "SolitaryVegetationObject", "PlantCover")
 # buildings with roof planes, as files name their level of detail, the best first
-_LODS = ("2.2", "2.0", "2", "2.1")
-_READABLE = ("Solid", "MultiSurface", "CompositeSurface")
+_LODS = ("2.2", "2.3", "2.0", "2", "2.1")
+# geometries that are read: how many lists there are around each polygon
+_DEPTHS = {"MultiSurface": 1, "CompositeSurface": 1, "Solid": 2, "MultiSolid": 3, "CompositeSolid": 3}
 
 
 @dataclass(frozen=True)
@@ -115,11 +116,12 @@ def _ring(indices: Sequence[int], vertex_m: np.ndarray) -> np.ndarray:
 def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.ndarray]:
     """(the objects of a file, scale and translation of their vertices)."""
     with reading(path, "CityJSON"):
-        text = Path(path).read_text(encoding="utf-8")
-        if text.lstrip("\ufeff \n\r\t").startswith("<"):
+        text = Path(path).read_text(encoding="utf-8-sig")
+        if text.lstrip().startswith("<"):
             raise ValueError("it is XML; if it is CityGML, convert it: citygml-tools to-cityjson FILE")
         try:
-            documents = [json.loads(line) for line in text.splitlines() if line.strip()]
+            # text may have what only Python takes for the end of a line
+            documents = [json.loads(line) for line in text.split("\n") if line.strip()]
         except json.JSONDecodeError:
             documents = [json.loads(text)]
     objects = [document for document in documents if isinstance(document, dict)]
@@ -176,7 +178,7 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
         triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
         for member in members:
-            by_lod = {str(g.get("lod")): g for g in member.get("geometry", []) if g["type"] in _READABLE}
+            by_lod = {str(g.get("lod")): g for g in member.get("geometry", []) if g["type"] in _DEPTHS}
             geometry = next((by_lod[lod] for lod in _LODS if lod in by_lod), None)
             for triangle, kind in _triangulated(geometry, vertex_m) if geometry else ():
                 triangles.append(triangle)
@@ -197,18 +199,19 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
 
 def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
     semantics = geometry.get("semantics", {"surfaces": [], "values": None})
-    shells, values_of_shells = geometry["boundaries"], semantics["values"]
-    if geometry["type"] != "Solid":
-        shells, values_of_shells = [shells], values_of_shells and [values_of_shells]
-    for s, shell in enumerate(shells):
-        for p, rings in enumerate(shell):
-            values = values_of_shells[s] if values_of_shells else None
-            surface = values[p] if values else None
-            kind = FaceKind.WALL if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
-            yield (
-                triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]),
-                FaceKind.WALL if kind is None else kind,
-            )
+    for rings, surface in _polygons(geometry["boundaries"], semantics["values"], _DEPTHS[geometry["type"]]):
+        kind = None if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
+        triangle = triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings])
+        yield triangle, FaceKind.WALL if kind is None else kind
+
+
+def _polygons(boundaries: Any, values: Any, depth: int) -> Iterator[tuple[Any, int | None]]:
+    """(rings of each polygon, the number of its semantic surface if it has one) in so many lists."""
+    if depth == 0:
+        yield boundaries, values
+        return
+    for k, each in enumerate(boundaries):
+        yield from _polygons(each, values[k] if values else None, depth - 1)
 
 
 def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:

@@ -110,6 +110,8 @@ class Frame:
 def frame_around(bodies: Sequence[Body], crs: str) -> Frame:
     """The frame at the lower corner of all meshes, in whole metres: coordinates are small enough for 32 bits."""
     corners = [body.mesh.vertex_m.min(axis=0) for body in bodies]
+    # WKT that a user states may have several lines, which would end a comment in a file
+    crs = " ".join(crs.split())
     return Frame(np.floor(np.min(corners, axis=0)) if corners else np.zeros(3), crs)
 
 

@@ -24,9 +24,12 @@ from p2wss.formats.meshes import AXES, Body, Frame, file_names, material_names
 from p2wss.formats.radio_materials import Properties, properties
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.log_lines import log
 
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
 TERRAIN_TOP = "terrain_top.ply"
+# of the top of the terrain: 4 km by 4 km in squares of 2 m, which take a gigabyte
+_MAX_SQUARES = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,19 @@ def scene_files(
         f"meshes/{name}.ply": _ply(shape.mesh.vertex_m - frame.origin_m, shape.mesh.triangle)
         for shape, name in zip(shapes, ids, strict=True)
     }
-    if terrain:
-        files[TERRAIN_TOP] = _top(terrain[0].mesh, others, frame, map_cell_m)
     latitude_deg, longitude_deg = _wgs84(frame)
     is_mixed = any(len(material_names([body])) > 1 for body in others)
     remarks = notes(materials, frequency_ghz, bool(terrain), is_mixed, split_materials)
+    for body in terrain[:1]:
+        cell_m = map_cell_m * np.ceil(
+            np.sqrt(np.ptp(body.mesh.vertex_m[:, :2], axis=0).prod() / _MAX_SQUARES) / map_cell_m
+        )
+        if cell_m > map_cell_m:
+            remarks.append(
+                f"the squares of {TERRAIN_TOP} have {cell_m:g} m, not {map_cell_m:g}: the terrain is large"
+            )
+            log.warning("warning: %s", remarks[-1])
+        files[TERRAIN_TOP] = _top(body.mesh, others, frame, cell_m)
     document = {
         "p2wss": dict(facts),
         "crs": frame.crs,

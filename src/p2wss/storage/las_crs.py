@@ -219,7 +219,7 @@ def _units() -> dict[int, float]:
 
 
 def _same_plane(first: pyproj.CRS, second: pyproj.CRS) -> bool:
-    a, b = (crs.sub_crs_list[0] if crs.is_compound else crs.to_2d() for crs in (first, second))
+    a, b = horizontal(first), horizontal(second)
     codes = a.to_epsg(min_confidence=25), b.to_epsg(min_confidence=25)
     if a.axis_info[0].unit_conversion_factor != b.axis_info[0].unit_conversion_factor:
         return False
@@ -261,9 +261,17 @@ def epsg_of(wkt: str, min_confidence: int) -> int | None:
     return pyproj.CRS.from_wkt(wkt).to_epsg(min_confidence=min_confidence)
 
 
+def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+    """The horizontal part of a compound or 3D CRS; one of EPSG without the shift to WGS 84 (TOWGS84) that programs used
+    to add to it."""
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+    base = flat.source_crs if flat.is_bound else None
+    return flat if base is None or epsg_of(base.to_wkt(), 70) is None else base
+
+
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:
     """Whether a place, x and y, is in the area of use of a CRS, or near it."""
-    flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+    flat = horizontal(crs)
     x, y = in_degrees(flat, *centre)
     area = flat.area_of_use
     if area is None and (code := epsg_of(flat.to_wkt(), 70)) is not None:

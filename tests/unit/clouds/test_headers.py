@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
+from datetime import date
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 
-from p2wss.clouds.reading import read_headers
+from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.data.listing import extent_m, may_overlap
 from p2wss.storage.errors import InputError
 
@@ -93,3 +94,11 @@ def test_what_is_no_las_says_what_to_do(content: bytes, remedy: str, tmp_path: P
     (tmp_path / "cloud").write_bytes(content)
     with pytest.raises(InputError, match=rf"cloud: .*{remedy}"):
         read_headers([tmp_path / "cloud"])
+
+
+def test_a_year_centuries_ahead_is_no_day(tmp_path: Path) -> None:
+    cloud = laspy.create(point_format=0, file_version="1.2")
+    cloud.header.creation_date = date(2921, 5, 1)
+    cloud.x, cloud.y, cloud.z = np.zeros((3, 2))
+    cloud.write(path := tmp_path / "cloud.las")
+    assert read_clouds([path]).day.tolist() == [0, 0]

@@ -14,7 +14,15 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.crs import MetricCrs, common_crs, doubtful_place, metric_crs, odd_place, reprojected
+from p2wss.data.crs import (
+    MetricCrs,
+    common_crs,
+    doubtful_place,
+    metric_crs,
+    odd_place,
+    reprojected,
+    same_crs,
+)
 from p2wss.data.terrain import Terrain
 from p2wss.storage.errors import InputError
 
@@ -332,3 +340,12 @@ def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y
 def test_where_only_the_place_tells_what_is_wrong(epsg: int, x: float, y: float, words: str) -> None:
     place = doubtful_place(pyproj.CRS.from_epsg(epsg), (x, y, x, y))
     assert words in place and bool(place) == bool(words)
+
+
+def test_a_shift_does_not_make_another_crs_of_one_of_epsg() -> None:
+    """Programs wrote TOWGS84 into the WKT of clouds; their coordinates are those of the CRS of EPSG."""
+    shift = '],TOWGS84[565.237,50.0087,465.658,-0.406857,0.350733,-1.87035,4.0812],AUTHORITY["EPSG","6289"]]'
+    bound = pyproj.CRS(RD.to_wkt("WKT1_GDAL").replace('],AUTHORITY["EPSG","6289"]]', shift))
+    assert bound.is_bound and same_crs(bound, RD)
+    metric, note = metric_crs(bound, None, "a.laz")
+    assert metric.crs.to_epsg() == 28992 and metric.is_source and note is None

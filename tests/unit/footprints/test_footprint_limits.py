@@ -66,6 +66,14 @@ def test_thinning_stays_within_its_tolerance() -> None:
     assert shapely.hausdorff_distance(shapes[0].exterior, shape.exterior) < 0.2
 
 
+def test_a_tiny_courtyard_of_many_vertices_goes() -> None:
+    house = shapely.box(-9, -9, 9, 9)
+    shapes, reason = repaired(
+        np.array([shapely.Polygon(house.exterior, [circle(3000, 0, 0.01).exterior])]), 0.2
+    )
+    assert list(reason) == ["ok"] and shapes[0].equals(house)
+
+
 def test_few_vertices_are_not_changed() -> None:
     shape = circle(1500, 0.001)
     shapes, _ = repaired(np.array([shape]))
@@ -81,6 +89,7 @@ GEOMETRIES = {
     "TIN Z (((0 0 1,9 0 1,9 9 1,0 0 1)),((0 0 1,9 9 1,0 9 4,0 0 1)))": ("ok", 81),
     "POLYHEDRALSURFACE Z (((0 0 0,9 0 0,9 9 0,0 9 0,0 0 0)),((0 0 0,9 0 0,9 0 5,0 0 5,0 0 0)))": ("ok", 81),
     "POLYGON ZM ((0 0 1 2,9 0 1 2,9 9 1 2,0 9 1 2,0 0 1 2))": ("ok", 81),
+    "POLYGON ((0 0,9 0,9 9,0 9))": ("ok", 81),
     "POLYGON ((0 0,9 0,9 nan,0 9,0 0))": ("non-finite", 0),
     "POLYGON EMPTY": ("empty", 0),
     "": ("empty", 0),

@@ -258,3 +258,10 @@ def test_extended_wkt_is_told_once(column: str, tmp_path: Path, caplog: pytest.L
     assert not said and [each.getMessage() for each in caplog.records] == [
         f"warning: {path}: Ignoring invalid WKT: SRID=2154;POINT(0 0) (9 in all)"
     ] * (column == "WKT")
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.4.0"])
+def test_geoparquet_before_version_1(version: str, tmp_path: Path) -> None:
+    frame = gpd.GeoDataFrame({"id": ["a"]}, geometry=[shapely.box(0, 0, 9, 9)], crs=28992)
+    frame.to_parquet(path := tmp_path / "f.parquet", schema_version=version)
+    assert layer_info(path)["geometry_type"] == "Polygon" and len(read_vector(path)[0]) == 1

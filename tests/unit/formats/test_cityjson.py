@@ -282,3 +282,32 @@ def test_the_output_of_roofer_is_read_completely() -> None:
     for solid in solids:
         mesh = trimesh.Trimesh(solid.mesh.vertex_m, solid.mesh.triangle)
         assert mesh.is_watertight and mesh.volume > 0
+
+
+def test_solids_of_several_and_every_kind_of_level_2_are_read(tmp_path: Path) -> None:
+    solid, _, _ = solid_of("gables")
+    document = json.loads("".join(cityjson.document_pieces([solid], cityjson.Metadata())))
+    ((name, house),) = document["CityObjects"].items()
+    (geometry,) = house["geometry"]
+    several = {"boundaries": [geometry["boundaries"]]}
+    several["semantics"] = geometry["semantics"] | {"values": [geometry["semantics"]["values"]]}
+    kinds = [{"lod": "2.3"}, {"type": "MultiSolid"} | several, {"type": "CompositeSolid"} | several]
+    document["CityObjects"] = {
+        f"{name}{k}": house | {"geometry": [geometry | kind]} for k, kind in enumerate([{}, *kinds])
+    }
+    path = tmp_path / "x.city.json"
+    path.write_text(json.dumps(document), encoding="utf-8-sig")
+    first, *others = cityjson_read.read(path)
+    assert len(others) == 3 and len(first.mesh.triangle)
+    for other in others:
+        assert other.mesh.triangle.tolist() == first.mesh.triangle.tolist()
+        assert other.mesh.kind.tolist() == first.mesh.kind.tolist()
+
+
+def test_text_with_what_python_takes_for_the_end_of_a_line_is_read(tmp_path: Path) -> None:
+    # an ellipsis of Windows, read as ISO-8859-1, and what web pages have
+    name = "Caf\x85 \u2028"
+    solids = [Solid(key, np.zeros((0, 3)), [], {"name": name}) for key in "ab"]
+    path = tmp_path / "x.city.jsonl"
+    path.write_text("\n".join(cityjson.lines(solids, cityjson.Metadata())), encoding="utf-8")
+    assert [each.attributes["name"] for each in cityjson_read.read(path)] == [name, name]

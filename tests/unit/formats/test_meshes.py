@@ -290,3 +290,10 @@ def test_objects_in_obj_have_names_of_their_own(meshes: list[Body], frame: Frame
     bodies = [replace(meshes[0], name=name) for name in ("a b", "a_b", "A B", "a  b")]
     lines = obj(bodies, frame).decode().splitlines()
     assert [line for line in lines if line.startswith("o ")] == ["o a_b", "o a_b-2", "o A_B", "o a_b-4"]
+
+
+def test_a_crs_of_several_lines_is_one_in_files(meshes: list[Body]) -> None:
+    frame = frame_around(meshes, 'LOCAL["a",\n    UNIT["m",1]]')
+    lines = obj(meshes, frame).decode().splitlines()
+    assert {line.split(" ")[0] for line in lines} == {"#", "o", "v", "f"}
+    assert b'comment crs LOCAL["a", UNIT["m",1]]\n' in ply(meshes, frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from yard_house import yard_house
 
 from p2wss import skeleton
 from p2wss.data.terrain import Terrain
+from p2wss.formats import sionna
 from p2wss.formats.materials import MATERIALS
 from p2wss.formats.meshes import Body, BuildingRef, Frame, frame_around
 from p2wss.formats.radio_materials import TABLE, properties
@@ -241,3 +243,16 @@ def test_properties_follow_the_recommendation() -> None:
     assert radar.conductivity_s_per_m / 77 == pytest.approx(ground.conductivity_s_per_m / 10)
     assert properties("brick", 77.0).held_from_ghz == 110 and properties("brick", 50.0).held_from_ghz == 40
     assert properties("concrete", 200.0).relative_permittivity == 5.17
+
+
+def test_the_map_of_a_large_terrain_has_larger_squares(
+    meshes: list[Body], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sionna, "_MAX_SQUARES", 100)
+    write(tmp_path, meshes)
+    vertex_m, triangle = sionna_scene.read_ply(tmp_path / "terrain_top.ply")
+    # 46 m by 26 m: 299 squares of 2 m, and 75 of 4 m
+    plan = trimesh.Trimesh(vertex_m * [1, 1, 0], triangle, process=False)
+    assert plan.area_faces == pytest.approx(8.0, rel=1e-5)
+    facts = json.loads((tmp_path / "scene.json").read_text(encoding="utf-8"))
+    assert "the squares of terrain_top.ply have 4 m, not 2: the terrain is large" in facts["notes"]
