@@ -100,13 +100,11 @@ def list_clouds(paths: Sequence[Path]) -> list[Path]:
     """
     result: list[Path] = []
     for path in paths:
-        if path.is_dir():
-            of_folder = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
-            if not of_folder:
-                raise InputError(f"{path}: has no LAS or LAZ file")
-            result += of_folder
-        else:
-            result.append(path)
+        files = path.iterdir() if path.is_dir() else ()
+        found = sorted(file for file in files if file.suffix.lower() in _SUFFIXES)
+        if path.is_dir() and not found:
+            raise InputError(f"{path}: has no LAS or LAZ file")
+        result += found or [path]
     return list(dict.fromkeys(result))
 
 

@@ -17,12 +17,14 @@ from p2wss.storage.las_crs import (
     UNKNOWN,
     epsg_of,
     in_degrees,
+    in_unit,
     is_plausible,
     meridian_deg,
     unit_m,
     vertical_part,
 )
 from p2wss.storage.las_crs import horizontal as horizontal
+from p2wss.storage.las_crs import same_crs as same_crs
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:
@@ -61,28 +63,31 @@ class MetricCrs:
 
     def window_of_clouds(self, bounds: Bounds) -> Bounds:
         """A window of the run in the units of the clouds."""
-        if self.horizontal_m is None:
-            low_x, low_y, high_x, high_y = self._transformer.transform_bounds(*bounds, direction="INVERSE")
-        else:
-            low_x, low_y, high_x, high_y = (value / self.horizontal_m for value in bounds)
+        low_x, low_y, high_x, high_y = (
+            self._transformer.transform_bounds(*bounds, direction="INVERSE")
+            if self.horizontal_m is None
+            else np.divide(bounds, self.horizontal_m).tolist()
+        )
         return low_x, low_y, high_x, high_y
 
     def bounds_of_run(self, bounds: Bounds) -> Bounds:
         """A window of the clouds in the CRS of the run."""
-        if self.horizontal_m is None:
-            low_x, low_y, high_x, high_y = self._transformer.transform_bounds(*bounds)
-        else:
-            low_x, low_y, high_x, high_y = (value * self.horizontal_m for value in bounds)
+        low_x, low_y, high_x, high_y = (
+            self._transformer.transform_bounds(*bounds)
+            if self.horizontal_m is None
+            else np.multiply(bounds, self.horizontal_m).tolist()
+        )
         return low_x, low_y, high_x, high_y
 
     def points(
         self, x: np.ndarray, y: np.ndarray, z: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x, y and z in the CRS of the run, each (n,), of points in the units of the clouds."""
-        if self.horizontal_m is None:
-            x_m, y_m = self._transformer.transform(x, y)
-        else:
-            x_m, y_m = x * self.horizontal_m, y * self.horizontal_m
+        x_m, y_m = (
+            self._transformer.transform(x, y)
+            if self.horizontal_m is None
+            else (x * self.horizontal_m, y * self.horizontal_m)
+        )
         return x_m, y_m, z * self.vertical_m
 
     def mesh(self, mesh: Mesh) -> Mesh:
@@ -182,7 +187,8 @@ def metric_crs(
     Raises :class:`InputError` for a CRS that is neither projected nor geographic, and for degrees without bounds.
     """
     flat = horizontal(source)
-    stated_m = _vertical_m(source) if vertical_m is None else vertical_m
+    heights = vertical_part(source)
+    stated_m = unit_m(heights) if vertical_m is None and heights is not None else vertical_m
     if flat.is_geographic and bounds is None:
         raise InputError(
             f"{name}: is in {source.name}, in degrees, and has no points that tell in which zone of UTM"
@@ -278,15 +284,6 @@ def parsed_crs(stated: str, where: str) -> pyproj.CRS:
         raise InputError(f"{where} {stated}: no such CRS; state one such as EPSG:28992") from error
 
 
-def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
-    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored."""
-    a, b = horizontal(first), horizontal(second)
-    if a.equals(b, ignore_axis_order=True):
-        return True
-    codes = epsg_of(a.to_wkt(), 70), epsg_of(b.to_wkt(), 70)
-    return codes[0] is not None and codes[0] == codes[1]
-
-
 def bounds_in_crs(bounds: Bounds, crs: str | pyproj.CRS, target_crs: Any) -> Bounds:
     """The smallest window in ``target_crs`` that contains ``bounds`` in ``crs``; x comes first in both."""
     source, target = pyproj.CRS.from_user_input(crs), pyproj.CRS.from_user_input(target_crs)
@@ -313,12 +310,6 @@ def check_crs(
         raise InputError(f"{path}: is in {found.name}, but {other} in {expected.name}; {remedy}")
 
 
-def _vertical_m(crs: pyproj.CRS) -> float | None:
-    """Length of the unit of heights, None if the CRS has none."""
-    vertical = vertical_part(crs)
-    return None if vertical is None else unit_m(vertical)
-
-
 def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None:
     """(the smallest, the largest) length in a projection of a metre on the ground, in the middle of bounds; None where
     that is not known."""
@@ -327,11 +318,8 @@ def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None
     if not np.isfinite([longitude, latitude]).all():
         return None
     factors = pyproj.Proj(flat).get_factors(longitude - meridian_deg(flat), latitude)
-    # the axes of the ellipse of distortion (Tissot)
-    half = np.hypot(factors.meridional_scale, factors.parallel_scale)
-    product = factors.areal_scale
-    total, rest = np.sqrt(max(half**2 + 2 * product, 0.0)), np.sqrt(max(half**2 - 2 * product, 0.0))
-    low, high = float(total - rest) / 2, float(total + rest) / 2
+    # the axes of the ellipse of distortion
+    low, high = float(factors.tissot_semiminor), float(factors.tissot_semimajor)
     return (low, high) if np.isfinite([low, high]).all() else None
 
 
@@ -355,14 +343,7 @@ def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
     """The same CRS in metres, of EPSG if it is there."""
     if all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info):
         return crs
-    stated: dict[str, Any] = crs.to_json_dict()
-    # of a CRS that states a shift to another datum (TOWGS84), its source has the axes
-    flat = stated.get("source_crs", stated)
-    for axis in flat["coordinate_system"]["axis"]:
-        axis["unit"] = "metre"
-    flat.pop("id", None)
-    flat["name"] = f"{crs.name} (metres)"
-    result = pyproj.CRS.from_json_dict(stated)
+    result = in_unit(crs, 1.0, " (metres)")
     code = epsg_of(result.to_wkt(), 60)
     if code is None or not crs.is_projected:
         return result

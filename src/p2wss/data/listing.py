@@ -46,10 +46,8 @@ def with_companions(path: Path) -> list[Path]:
     >>> with_companions(Path("nowhere/a.gpkg"))
     [PosixPath('nowhere/a.gpkg')]
     """
-    if path.suffix.lower() == ".shp":
-        companions = {path.with_suffix(suffix) for suffix in (".dbf", ".shx", ".prj", ".cpg")}
-        return [path, *sorted(file for file in companions if file.is_file())]
-    return [path]
+    suffixes = (".cpg", ".dbf", ".prj", ".shx") if path.suffix.lower() == ".shp" else ()
+    return [path, *filter(Path.is_file, map(path.with_suffix, suffixes))]
 
 
 def extent_m(path: Path) -> Bounds | None:

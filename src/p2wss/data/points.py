@@ -39,8 +39,6 @@ def points_on_building(
     than five of these, plants count, too. Points outside the footprint never count: in a row of houses they belong to
     the neighbours.
     """
-    if not len(point_m):
-        return np.zeros(0, bool)
     inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
     offset = np.array([0, len(point_m)])
     return points_on_buildings(inside, classification, point_m[:, 2], offset)

@@ -241,14 +241,13 @@ def _lone(height_m: np.ndarray) -> np.ndarray:
     """Whether each cell has a value that is far from all other values beside it, in every place where it occurs."""
     is_far, is_tied = np.zeros((2, *height_m.shape), bool)
     with np.errstate(invalid="ignore"):
-        for axis in (0, 1):
-            step_m = np.abs(np.diff(height_m, axis=axis))
+        # by columns, too, in views that are turned
+        for height, *results in ((height_m, is_far, is_tied), (height_m.T, is_far.T, is_tied.T)):
+            step_m = np.abs(np.diff(height, axis=0))
             far, tied = step_m > _MAX_JUMP_M, (step_m > 0) & (step_m <= _MAX_JUMP_M)
-            for result, found in ((is_far, far), (is_tied, tied)):
-                low, high = [slice(None)] * 2, [slice(None)] * 2
-                low[axis], high[axis] = slice(None, -1), slice(1, None)
-                result[tuple(low)] |= found
-                result[tuple(high)] |= found
+            for result, found in zip(results, (far, tied), strict=True):
+                result[:-1] |= found
+                result[1:] |= found
     if not is_far.any():
         return is_far
     values = np.setdiff1d(height_m[is_far & ~is_tied], height_m[is_tied])

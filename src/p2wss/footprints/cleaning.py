@@ -135,26 +135,19 @@ def split_parts(features: Features, min_area_m2: float, tolerance_m: float = 0.2
     is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
     centre = _box_centres(shapes)
     shapes, status = repaired(shapes, tolerance_m)
-    is_polygon = np.isin(
+    is_areal = np.isin(
         shapely.get_type_id(shapes), [shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON]
     )
-    status[(status == reasons.OK) & ~is_polygon] = reasons.NOT_A_POLYGON
-    status[is_empty] = reasons.EMPTY
+    status[(status == reasons.OK) & ~is_areal] = reasons.NOT_A_POLYGON
+    status[is_empty | (status == reasons.OK) & shapely.is_empty(shapes)] = reasons.EMPTY
+    # a row without a polygon has one part, an empty polygon
+    shapes[~is_areal | shapely.is_empty(shapes)] = shapely.Polygon()
     parts, row = shapely.get_parts(shapes, return_index=True)
-    is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
-    parts, row = parts[is_polygon], row[is_polygon]
     area = shapely.area(parts)
     largest = np.zeros(len(features))
     np.maximum.at(largest, row, area)
     keep = (area >= min_area_m2) | (area >= largest[row])
     parts, row = parts[keep], row[keep]
-    # insert the rows without a polygon in their order
-    empty_rows = np.setdiff1d(np.arange(len(features)), row)
-    status[empty_rows[status[empty_rows] == "ok"]] = reasons.EMPTY
-    row = np.concatenate([row, empty_rows])
-    order = np.argsort(row, kind="stable")
-    row = row[order]
-    parts = np.concatenate([parts, np.full(len(empty_rows), shapely.Polygon())])[order]
     is_split = np.bincount(row, minlength=len(features))[row] > 1
     names = features["building_id"].tolist()
     is_known = _TAKEN in features.columns
@@ -255,8 +248,6 @@ def _clean_alone(shape: shapely.Polygon, config: Scenes) -> tuple[shapely.Polygo
 
 
 def _without_small_courtyards(shape: shapely.Polygon, min_area_m2: float) -> shapely.Polygon:
-    if not shape.interiors:
-        return shape
     courtyards = [ring for ring in shape.interiors if shapely.Polygon(ring).area >= min_area_m2]
     return shapely.Polygon(shape.exterior, courtyards)
 

@@ -42,12 +42,11 @@ def join_rings(polygons: Polygons, snap_m: float) -> Nodes:
 
 
 def without_repeats(node: np.ndarray, ring_offset: np.ndarray, *others: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(nodes, offsets, others) of rings without consecutive equal nodes. others: what is known of each vertex."""
-    if not len(node):
-        return node, ring_offset, *others
+    """(nodes, offsets, others) of rings, at least one, without consecutive equal nodes. others: what is known of each
+    vertex."""
     keep = node != node[previous_in_ring(ring_offset)]
     # a ring of one repeated node keeps it
-    counts = np.add.reduceat(keep, ring_offset[:-1]) if len(ring_offset) > 1 else np.zeros(0, int)
+    counts = np.add.reduceat(keep, ring_offset[:-1])
     keep[ring_offset[:-1][counts == 0]] = True
     offset = np.concatenate([[0], np.cumsum(np.maximum(counts, 1))])
     return node[keep], offset, *(other[keep] for other in others)
@@ -75,8 +74,6 @@ def _merge_vertices(
     point = np.asarray(shapely.points(xy_m), object)
     pairs = shapely.STRtree(point).query(point, predicate="dwithin", distance=snap_m * 1.001)
     first, second = pairs = pairs[:, pairs[0] < pairs[1]]
-    if not len(first):
-        return xy_m, node
     distance = np.hypot(*(xy_m[first] - xy_m[second]).T)
     near = distance <= snap_m
     first, second, distance = first[near], second[near], distance[near]

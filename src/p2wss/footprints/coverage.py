@@ -354,9 +354,8 @@ def _thinned(
     max_cosine = np.cos(np.radians(_MIN_TURN_DEG))
     while len(node) > 2:
         inner = np.flatnonzero((arc[1:-1] == arc[:-2]) & (arc[1:-1] == arc[2:])) + 1
-        is_closed = np.zeros(arc[-1] + 1, bool)
-        first = np.searchsorted(arc, np.arange(len(is_closed)))
-        last = np.searchsorted(arc, np.arange(len(is_closed)), side="right") - 1
+        first = np.searchsorted(arc, np.arange(arc[-1] + 1))
+        last = np.searchsorted(arc, np.arange(arc[-1] + 1), side="right") - 1
         is_closed = node[first] == node[last]
         # a ring keeps three vertices
         inner = inner[~is_closed[arc[inner]] | ((last - first)[arc[inner]] > 3)]

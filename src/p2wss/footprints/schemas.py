@@ -150,10 +150,8 @@ def building_ids(
         _column(columns, id_field, path)
         candidates = [id_field]
     else:
-        candidates = [column_of[name] for name in schema.ids if name in column_of]
-        candidates = [
-            column for column in candidates if not is_missing(columns[column]).all() or not len(number)
-        ]
+        known = [column_of[name] for name in schema.ids if name in column_of]
+        candidates = [column for column in known if not is_missing(columns[column]).all() or not len(number)]
     problems = {column: _problem(columns[column]) for column in candidates}
     column = next((column for column, problem in problems.items() if problem is None), None)
     if column is None and candidates:
@@ -191,10 +189,8 @@ def _as_text(values: np.ndarray) -> list[str]:
 def _unique(names: list[str], is_known: np.ndarray) -> list[str]:
     """The names, repeated ones with a suffix that leads to no other name; first those that are known."""
     result, used, count = list(names), set(names), dict.fromkeys(names, 1)
-    known = {names[i] for i in np.flatnonzero(is_known)}
-    is_repeated = np.array([name in known for name in names], bool)
-    is_repeated[is_known] = _is_repeated([names[i] for i in np.flatnonzero(is_known)])
-    for i in np.flatnonzero(is_repeated):
+    order = np.argsort(~is_known, kind="stable")
+    for i in order[_is_repeated([names[i] for i in order])]:
         while result[i] in used:
             count[names[i]] += 1
             result[i] = f"{names[i]}_{count[names[i]]}"

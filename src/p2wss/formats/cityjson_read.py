@@ -180,9 +180,9 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         for member in members:
             by_lod = {str(g.get("lod")): g for g in member.get("geometry", []) if g["type"] in _DEPTHS}
             geometry = next((by_lod[lod] for lod in _LODS if lod in by_lod), None)
-            for triangle, kind in _triangulated(geometry, vertex_m) if geometry else ():
-                triangles.append(triangle)
-                kinds.append(np.full(len(triangle), kind, np.uint8))
+            for rings, kind in _polygons_of(geometry) if geometry else ():
+                triangles.append(triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]))
+                kinds.append(np.full(len(triangles[-1]), kind, np.uint8))
         triangle = np.concatenate(triangles)
         surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
         used, local = np.unique(triangle, return_inverse=True)
@@ -197,21 +197,19 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
     return solids
 
 
-def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
+def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[Any, int]]:
+    """(rings, kind) of each polygon of a geometry."""
     semantics = geometry.get("semantics", {"surfaces": [], "values": None})
-    for rings, surface in _polygons(geometry["boundaries"], semantics["values"], _DEPTHS[geometry["type"]]):
-        kind = None if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
-        triangle = triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings])
-        yield triangle, FaceKind.WALL if kind is None else kind
-
-
-def _polygons(boundaries: Any, values: Any, depth: int) -> Iterator[tuple[Any, int | None]]:
-    """(rings of each polygon, the number of its semantic surface if it has one) in so many lists."""
-    if depth == 0:
-        yield boundaries, values
-        return
-    for k, each in enumerate(boundaries):
-        yield from _polygons(each, values[k] if values else None, depth - 1)
+    kinds = [_KIND.get(surface["type"], FaceKind.WALL) for surface in semantics["surfaces"]]
+    pairs = [(geometry["boundaries"], semantics["values"])]
+    for _ in range(_DEPTHS[geometry["type"]]):
+        pairs = [
+            (each, values[k] if values else None)
+            for boundaries, values in pairs
+            for k, each in enumerate(boundaries)
+        ]
+    for rings, surface in pairs:
+        yield rings, FaceKind.WALL if surface is None else kinds[surface]
 
 
 def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:

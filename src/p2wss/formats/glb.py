@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,9 @@ def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
         for number, body in enumerate(bodies)
     ]
     shapes = [{"name": body.name, "primitives": _primitives(body, frame, names, binary)} for body in bodies]
-    root = {"name": "p2wss", "children": list(range(1, len(nodes) + 1)), "extras": place}
+    # glTF has no empty lists
+    children = {"children": list(range(1, len(nodes) + 1))} if nodes else {}
+    root = {"name": "p2wss", **children, "extras": place}
     tree = {
         "asset": {
             "version": "2.0",
@@ -51,46 +54,32 @@ def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
         "nodes": [root, *nodes],
         "meshes": shapes,
         "materials": [gltf_material(name) for name in names],
-    }
-    if not nodes:
-        del root["children"]
-    return container(tree, binary)
-
-
-def container(tree: dict[str, Any], binary: Binary) -> bytes:
-    """A GLB of the JSON ``tree``, without its accessors and buffers, and of the arrays."""
-    tree = {
-        **tree,
         "accessors": binary.accessors,
         "bufferViews": binary.views,
-        "buffers": [{"byteLength": binary.length}] if binary.length else [],
+        "buffers": [{"byteLength": len(binary.content)}] if binary.content else [],
     }
-    # glTF has no empty lists
     text = json.dumps({key: value for key, value in tree.items() if value != []}, separators=(",", ":"))
     content = _chunk(b"JSON", text.encode(), b" ")
-    if binary.length:
-        content += _chunk(b"BIN\0", b"".join(binary.pieces), b"\0")
+    if binary.content:
+        content += _chunk(b"BIN\0", bytes(binary.content), b"\0")
     return struct.pack("<4sII", b"glTF", 2, 12 + len(content)) + content
 
 
+@dataclass
 class Binary:
     """The binary chunk, array by array, and the accessors that describe it."""
 
-    def __init__(self) -> None:
-        self.pieces: list[bytes] = []
-        self.length = 0
-        self.views: list[dict[str, Any]] = []
-        self.accessors: list[dict[str, Any]] = []
+    content: bytearray = field(default_factory=bytearray)
+    views: list[dict[str, Any]] = field(default_factory=list)
+    accessors: list[dict[str, Any]] = field(default_factory=list)
 
     def append(self, values: np.ndarray, target: int, **accessor: Any) -> int:
         """The number of the accessor. Elements have four bytes, so that every array is aligned."""
-        content = values.tobytes()
         self.views.append(
-            {"buffer": 0, "byteOffset": self.length, "byteLength": len(content), "target": target}
+            {"buffer": 0, "byteOffset": len(self.content), "byteLength": values.nbytes, "target": target}
         )
         self.accessors.append({"bufferView": len(self.views) - 1, "count": len(values), **accessor})
-        self.pieces.append(content)
-        self.length += len(content)
+        self.content += values.tobytes()
         return len(self.accessors) - 1
 
 

@@ -92,11 +92,10 @@ def materials_of(row: Mapping[str, Any]) -> dict[str, str]:
     by_name = {str(name).lower(): value for name, value in row.items()}
     result = {}
     for surface, (columns, codes) in _COLUMNS.items():
-        for column in columns:
-            known = [codes[digit] for digit in _digits(by_name.get(column)) if digit in codes]
-            if known:
-                result[surface] = known[0]
-                break
+        digits = [digit for column in columns for digit in _digits(by_name.get(column))]
+        known = [codes[digit] for digit in digits if digit in codes]
+        if known:
+            result[surface] = known[0]
     return result
 
 

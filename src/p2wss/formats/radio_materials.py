@@ -52,17 +52,9 @@ def properties(itu_type: str, frequency_ghz: float) -> Properties:
     Where the recommendation does not define them, the complex permittivity of the nearest frequency at which it does
     is used. The conductivity then grows in proportion to the frequency.
     """
-    fits = TABLE[itu_type]
-    for fit in fits:
-        if fit.low <= frequency_ghz <= fit.high:
-            return _at(fit, frequency_ghz, None)
-    ends = [(fit, end) for fit in fits for end in (fit.low, fit.high)]
-    fit, end = min(ends, key=lambda pair: abs(math.log(pair[1] / frequency_ghz)))
-    return _at(fit, frequency_ghz, end)
-
-
-def _at(fit: _Fit, frequency_ghz: float, held_from_ghz: float | None) -> Properties:
-    valid = frequency_ghz if held_from_ghz is None else held_from_ghz
+    nearest = [(fit, min(max(frequency_ghz, fit.low), fit.high)) for fit in TABLE[itu_type]]
+    fit, valid = min(nearest, key=lambda pair: abs(math.log(pair[1] / frequency_ghz)))
     permittivity = fit.a * valid**fit.b
     conductivity = fit.c * valid**fit.d * frequency_ghz / valid
+    held_from_ghz = None if valid == frequency_ghz else valid
     return Properties(permittivity, conductivity, (fit.low, fit.high), held_from_ghz)

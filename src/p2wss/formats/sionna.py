@@ -221,10 +221,9 @@ def _are_covered(point_m: np.ndarray, buildings: Sequence[Body], frame: Frame) -
     surfaces = [
         body.mesh.corner_m[body.mesh.kind != FaceKind.WALL, :, :2] - frame.origin_m[:2] for body in buildings
     ]
+    tree = shapely.STRtree(np.asarray(shapely.polygons(np.concatenate([np.zeros((0, 3, 2)), *surfaces]))))
     covered = np.zeros(len(point_m), bool)
-    if surfaces:
-        tree = shapely.STRtree(np.asarray(shapely.polygons(np.concatenate(surfaces))))
-        covered[tree.query(shapely.points(point_m), predicate="intersects")[0]] = True
+    covered[tree.query(shapely.points(point_m), predicate="intersects")[0]] = True
     return covered
 
 

@@ -96,14 +96,10 @@ def _breach_of_composite(solids: Sequence[Sequence[Shell]]) -> int | None:
 def _corners(shell: Shell) -> np.ndarray:
     """The triangles of a shell, (t, 3, 3), outwards from the solid."""
     rings = [list(surface.rings) for surface in shell.surfaces]
-    normal = np.array([_normal(shell.vertex_m[face[0]]) for face in rings])
+    area = np.array([doubled_area(shell.vertex_m[face[0]]) for face in rings])
+    normal = area / np.maximum(np.linalg.norm(area, axis=1), 1e-300)[:, None]
     triangle, _ = triangulated_in_space(shell.vertex_m, rings, normal)
     return shell.vertex_m[triangle]
-
-
-def _normal(ring_m: np.ndarray) -> np.ndarray:
-    area = doubled_area(ring_m)
-    return np.asarray(area / max(float(np.linalg.norm(area)), 1e-300))
 
 
 def _manifold(corner_m: np.ndarray) -> manifold3d.Manifold:

@@ -116,12 +116,16 @@ def with_heights(crs: pyproj.CRS, heights: pyproj.CRS) -> pyproj.CRS:
     return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 
 
-def in_unit(crs: pyproj.CRS, length_m: float) -> pyproj.CRS:
-    """The same CRS with axes of another unit; lengths among its parameters have their own."""
+def in_unit(crs: pyproj.CRS, length_m: float, suffix: str = "") -> pyproj.CRS:
+    """The same CRS with axes of another unit; lengths among its parameters have their own. suffix: of its name."""
     stated = crs.to_json_dict()
-    for axis in stated["coordinate_system"]["axis"]:
-        axis["unit"] = {"type": "LinearUnit", "name": f"{length_m:.10g} m", "conversion_factor": length_m}
-    stated.pop("id", None)
+    # of a CRS that states a shift to another datum (TOWGS84), its source has the axes
+    flat = stated.get("source_crs", stated)
+    unit = {"type": "LinearUnit", "name": f"{length_m:.10g} m", "conversion_factor": length_m}
+    for axis in flat["coordinate_system"]["axis"]:
+        axis["unit"] = "metre" if length_m == 1.0 else unit
+    flat.pop("id", None)
+    flat["name"] = crs.name + suffix
     return pyproj.CRS.from_json_dict(stated)
 
 
@@ -218,12 +222,19 @@ def _units() -> dict[int, float]:
     return {int(unit.code): float(unit.conv_factor) for unit in units.values() if unit.code.isdigit()}
 
 
-def _same_plane(first: pyproj.CRS, second: pyproj.CRS) -> bool:
+def same_crs(first: pyproj.CRS, second: pyproj.CRS, min_confidence: int = 70) -> bool:
+    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored. min_confidence: with
+    which PROJ takes both for one of EPSG."""
     a, b = horizontal(first), horizontal(second)
-    codes = a.to_epsg(min_confidence=25), b.to_epsg(min_confidence=25)
-    if a.axis_info[0].unit_conversion_factor != b.axis_info[0].unit_conversion_factor:
-        return False
-    return a.equals(b, ignore_axis_order=True) or (codes[0] is not None and codes[0] == codes[1])
+    if a.equals(b, ignore_axis_order=True):
+        return True
+    codes = [epsg_of(each.to_wkt(), min_confidence) for each in (a, b)]
+    return codes[0] is not None and codes[0] == codes[1]
+
+
+def _same_plane(first: pyproj.CRS, second: pyproj.CRS) -> bool:
+    units = {crs.axis_info[0].unit_conversion_factor for crs in (first, second)}
+    return len(units) == 1 and same_crs(first, second, 25)
 
 
 def _one_of(candidates: tuple[pyproj.CRS, pyproj.CRS], header: laspy.LasHeader) -> pyproj.CRS:
