@@ -210,8 +210,6 @@ def repeated(
     """
     result = np.zeros(len(file), bool)
     first = np.flatnonzero(np.diff(file, prepend=-1))
-    if len(first) < 2:
-        return result, Counter()
     xy = (x_m, y_m)
     low = np.array([np.minimum.reduceat(v, first) for v in xy]) - 1 / _STEPS_PER_M
     high = np.array([np.maximum.reduceat(v, first) for v in xy]) + 1 / _STEPS_PER_M

@@ -396,9 +396,8 @@ def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: s
         transformer = pyproj.Transformer.from_crs(horizontal(source), target, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise InputError(f"{path}: no transformation from {source.name} to {target.name}: {error}") from error
-    shapes = shapely.force_2d(shapes)
-    before = shapely.get_coordinates(shapes)
-    after = np.column_stack(transformer.transform(*before.T)) if len(before) else before
+    result = np.asarray(shapely.transform(shapes, transformer.transform, interleaved=False))
+    before, after = shapely.get_coordinates(shapes), shapely.get_coordinates(result)
     if np.isfinite(before).all(axis=1).any() and not np.isfinite(after).all(axis=1).any():
         no_degrees = source.is_geographic and np.abs(before[np.isfinite(before)]).max() > 360
         remedy = "; they are no degrees: save it with its CRS (GeoJSON without one counts as degrees)"
@@ -406,7 +405,6 @@ def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: s
             f"{path}: is in {source.name}, whose coordinates cannot be transformed to {target.name}"
             f"{remedy if no_degrees else ''}"
         )
-    result = np.asarray(shapely.set_coordinates(shapes, after))
     accuracy_m = _accuracy_m(transformer)
     text = "unknown accuracy" if accuracy_m is None else f"accuracy {accuracy_m:g} m"
     log.info("note: %s: reprojected from %s to %s, %s", path, source.name, target.name, text)

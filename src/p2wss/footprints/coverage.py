@@ -113,7 +113,8 @@ def _clean(
     refitted_m[rings.node[crossing]] = xy_m[rings.node[crossing]]
     xy_m = rings.straightened(refitted_m)
     result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
-    return polygon_arrays.to_geometries(result), is_accepted(result)
+    # one that is hardly more than a spike the kernel does not take
+    return polygon_arrays.to_geometries(result), kernel_status(result) == skeleton.Status.OK
 
 
 def _divided(shapes: np.ndarray, cleaned: np.ndarray, snap_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -144,11 +145,6 @@ def _buffered(shapes: np.ndarray, distance_m: float) -> np.ndarray:
 def _is_wide(shapes: np.ndarray, width_m: float) -> np.ndarray:
     """Whether a circle of such a diameter is within each polygon, bool (n,)."""
     return ~shapely.is_empty(shapely.buffer(shapes, -width_m / 2))
-
-
-def is_accepted(polygons: Polygons) -> np.ndarray:
-    """Whether the kernel takes each polygon, bool (n,): one that is hardly more than a spike it does not."""
-    return kernel_status(polygons) == skeleton.Status.OK
 
 
 def kernel_status(polygons: Polygons) -> np.ndarray:
@@ -278,12 +274,13 @@ class _Arcs:
 
     def rings(self, polygon_offset: np.ndarray) -> _Rings:
         """The rings that the arcs form."""
-        rings = []
-        for members in self.of_ring:
-            pieces = [
-                self.nodes[number][::-1] if is_back else self.nodes[number] for number, is_back in members
-            ]
-            rings.append(np.concatenate([piece[:-1] for piece in pieces]))
+        # without the last node of each, with which the next begins
+        rings = [
+            np.concatenate(
+                [self.nodes[k][:0:-1] if is_back else self.nodes[k][:-1] for k, is_back in members]
+            )
+            for members in self.of_ring
+        ]
         offset = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])]).astype(np.int64)
         return _Rings(np.concatenate(rings), offset, polygon_offset)
 

@@ -75,12 +75,10 @@ def _polygons_of(collection: Any) -> Any:
 
 
 def _thinned(shape: Any, tolerance_m: float) -> Any:
-    """The geometry with simplified rings, those of few vertices unchanged; None if a ring keeps too many vertices."""
+    """The polygons with simplified rings, those of few vertices unchanged; None if a ring keeps too many vertices."""
     if isinstance(shape, shapely.MultiPolygon):
         parts = [_thinned(part, tolerance_m) for part in shape.geoms]
         return None if any(part is None for part in parts) else shapely.MultiPolygon(parts)
-    if not isinstance(shape, shapely.Polygon):
-        return shape
     rings = [_thinned_ring(shapely.get_coordinates(ring), tolerance_m) for ring in shapely.get_rings(shape)]
     if any(len(ring) > _MAX_VERTICES for ring in rings):
         return None

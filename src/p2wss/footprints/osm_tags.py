@@ -25,9 +25,7 @@ def with_others(columns: Mapping[str, np.ndarray], names: tuple[str, ...]) -> di
     >>> columns["height"].tolist(), list(columns)
     (['9 m', None], ['other_tags', 'height'])
     """
-    if _OTHERS not in columns:
-        return dict(columns)
-    tags = [_pairs(each) for each in columns[_OTHERS].tolist()]
+    tags = [_pairs(each) for each in columns.get(_OTHERS, np.zeros(0)).tolist()]
     found = {
         name: np.array([each.get(name) for each in tags], object) for name in names if name not in columns
     }

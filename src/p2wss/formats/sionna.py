@@ -28,7 +28,7 @@ from p2wss.storage.log_lines import log
 
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
 TERRAIN_TOP = "terrain_top.ply"
-# of the top of the terrain: 4 km by 4 km in squares of 2 m, which take a gigabyte
+# of the top of the terrain: 4 km by 4 km in squares of 2 m, which take 1.6 GB
 _MAX_SQUARES = 4_000_000
 
 

@@ -173,8 +173,7 @@ def _building(building: Shown) -> dict[str, Any]:
     near = (np.abs(point_m - place_m) <= np.iinfo(np.int16).max // 100).all(axis=1)
     point_m, distance_m = point_m[near], building.distance_m[near]
     corners = np.concatenate([point_m, *(mesh.vertex_m for mesh in building.meshes.values())])
-    if not len(corners):
-        corners = np.zeros((1, 3))
+    bounds_m = [corners.min(axis=0), corners.max(axis=0)] if len(corners) else np.zeros((2, 3))
     return {
         "id": building.building_id,
         "group": building.group,
@@ -192,7 +191,7 @@ def _building(building: Shown) -> dict[str, Any]:
         if "status" in building.attributes
         else [],
         "materials": materials_of(building.attributes),
-        "bounds": np.round([corners.min(axis=0), corners.max(axis=0)], 2).tolist(),
+        "bounds": np.round(bounds_m, 2).tolist(),
         "place": place_m.tolist(),
         "points": _base64(np.round((point_m - place_m) * 100).astype(np.int16)),
         "distances": _base64(np.round(np.clip(distance_m, 0, 1) * 255).astype(np.uint8)),
