@@ -283,7 +283,7 @@ def write_json(path: str | Path, value: dict[str, Any]) -> None:
 
 def check_stem(name: str) -> None:
     """Raise :class:`InputError` for a name of files that states a folder, too."""
-    if name != Path(name).name:
+    if name != Path(name).name or name == "..":
         raise InputError(f"name {name}: must be that of a file without ending, and no folder")
 
 

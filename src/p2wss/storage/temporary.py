@@ -42,8 +42,8 @@ def remove_leftovers(folder: Path) -> None:
                 continue
             with suppress(OSError):  # another process may be tidying too
                 age_s = time.time() - entry.stat(follow_symlinks=False).st_mtime
-                ended = match["host"] == _host() and not is_running(int(match["process"]))
-                if ended or age_s > _ABANDONED_S:
+                is_ours = match["host"] == _host()
+                if not is_running(int(match["process"])) if is_ours else age_s > _ABANDONED_S:
                     if entry.is_dir(follow_symlinks=False):
                         shutil.rmtree(entry.path)
                     else:

@@ -57,7 +57,7 @@ def test_an_unknown_id_and_an_empty_box_are_named(
         assert text in error[-1] and not any("Traceback" in line for line in error)
 
 
-@pytest.mark.parametrize("name", ["a/b", "../out", "/tmp/x"])
+@pytest.mark.parametrize("name", ["a/b", "../out", "/tmp/x", ".", ".."])
 def test_a_name_of_files_with_a_folder_is_refused_before_anything_is_read(
     demo: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -109,7 +109,7 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
         position = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
         houses.append(Body.of_building(f"h{i}", Mesh.of_kernel(meshes, i).translated(position)))
     block = terrain_mesh.block(land, (X + 5, Y + 10, X + 55, Y + 48), 0.1, 20.0)
-    lowered = terrain_mesh.lowered_into(houses, land)
+    lowered = terrain_mesh.lowered_into(houses, land, 0.1)
     draw = np.random.default_rng(0)
 
     ground = RayMeshIntersector(checked(block))
@@ -136,3 +136,29 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
     is_hit = hit >= 0
     assert is_hit.mean() > 0.8
     assert (scene.face_normals[hit[is_hit]] * -away[is_hit]).sum(axis=1).max() < 1e-3
+
+
+def test_a_coarse_terrain_leaves_no_gap_under_a_building_either() -> None:
+    height = 50 + 3 * np.outer(np.cos(np.arange(200) / 22), np.sin(np.arange(200) / 30))
+    land, boxes = terrain(height, 0.5), [(x, y) for x in range(20, 80, 9) for y in range(20, 80, 9)]
+    meshes = skeleton.build(
+        Polygons.from_rings(
+            [[np.array([[x, y], [x + 8, y], [x + 8, y + 8], [x, y + 8]], float)] for x, y in boxes]
+        ),
+        np.full(4 * len(boxes), 45.0),
+        np.full(len(boxes), 5.0),
+    )
+    houses = [
+        Body.of_building(f"h{i}", Mesh.of_kernel(meshes, i).translated(np.array([X, Y, 50.0])))
+        for i in range(len(boxes))
+    ]
+    tolerance_m = 3.0
+    block = terrain_mesh.block(land, (X + 10, Y + 10, X + 95, Y + 95), tolerance_m, 50.0)
+    ground = RayMeshIntersector(checked(block))
+    for (x, y), house in zip(boxes, terrain_mesh.lowered_into(houses, land, tolerance_m), strict=True):
+        above = np.column_stack(
+            [np.random.default_rng(0).uniform([x, y], [x + 8, y + 8], (50, 2)), np.full(50, 90.0)]
+        )
+        hit = ground.intersects_location(above, np.tile([0, 0, -1.0], (50, 1)), multiple_hits=False)[0]
+        floor_z = house.mesh.vertex_m[:, 2].min()
+        assert block.mesh.vertex_m[:, 2].min() < floor_z < hit[:, 2].min()

@@ -41,6 +41,9 @@ def test_files_of_killed_processes_are_removed_and_others_stay(tmp_path: Path) -
     try:
         for writer in writers:
             assert writer.stdout is not None and writer.stdout.readline() == b"writing\n"
+        # one that has written nothing for a day still runs
+        for path in tmp_path.iterdir():
+            os.utime(path, (time.time() - 90_000,) * 2)
         writers[0].kill()
         writers[0].wait()
         assert len(list(tmp_path.glob(".*.laz"))) == 2

@@ -154,7 +154,7 @@ def _meshes(
         buildings = list(buildings)
     ground = None if terrain is None else block(buildings, terrain, config)
     if terrain is not None:
-        buildings = terrain_mesh.lowered_into(buildings, terrain)
+        buildings = terrain_mesh.lowered_into(buildings, terrain, config.terrain_tolerance_m)
     skins: Sequence[Skin] = []
     if config.skin or config.wedges:
         is_cut = ground is not None and config.skin_terrain == "cut"

@@ -18,7 +18,8 @@ from p2wss.skeleton.types import FaceKind
 from p2wss.storage.log_lines import log
 
 NAME = "terrain"
-# the block reaches this far below the lowest ground, a building this far below the lowest terrain under it
+# the block reaches this far below the lowest ground, a building this far below the lowest terrain under it, or further
+# where the tolerance of the triangles is more
 _BELOW_M, _FOOT_M = 2.0, 0.5
 # of larger windows only every k-th cell is used; 1 km at 0.5 m is used whole
 _MAX_CELLS = 4_000_000
@@ -58,14 +59,15 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
             break
         vertices = extended
     top_m = np.column_stack([x_m[column], y_m[row], height_m[row, column]])
-    body = _closed(top_m, upper, min(float(height_m.min()), lowest_m) - _BELOW_M)
+    body = _closed(top_m, upper, min(float(height_m.min()), lowest_m) - max(_BELOW_M, 2 * tolerance_m))
     return replace(body, attributes={"spacing_m": round(spacing_m, 3)})
 
 
-def lowered_into(bodies: Sequence[Body], terrain: Terrain) -> list[Body]:
+def lowered_into(bodies: Sequence[Body], terrain: Terrain, tolerance_m: float) -> list[Body]:
     """The buildings with their ground faces lowered below the lowest terrain under each, walls extended.
 
     So there is no gap between a level ground face and sloping terrain through which a ray could enter the building.
+    tolerance_m: of :func:`block`, which may be so far below the terrain.
     """
     result = []
     for body in bodies:
@@ -75,7 +77,7 @@ def lowered_into(bodies: Sequence[Body], terrain: Terrain) -> list[Body]:
         lowest = np.nanmin(height_m) if np.isfinite(height_m).any() else np.inf
         vertex_m = mesh.vertex_m.copy()
         ground = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
-        vertex_m[ground, 2] = np.minimum(vertex_m[ground, 2], lowest - _FOOT_M)
+        vertex_m[ground, 2] = np.minimum(vertex_m[ground, 2], lowest - max(_FOOT_M, tolerance_m))
         result.append(replace(body, mesh=mesh.moved(vertex_m)))
     return result
 
