@@ -303,3 +303,19 @@ def test_a_scene_and_its_file_have_the_same_measures(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         one["points_to_mesh_m"], other["points_to_mesh_m"], atol=5e-3
     )  # of random samples
+
+
+def test_attributes_of_3dbag_name_the_cloud_of_a_building_too() -> None:
+    config = {"reconstruct": {"attribute_names": "3dbag"}}
+    with p2wss.reconstruct(
+        gable_points(), footprints()[:1], config=config, model="none", progress=False
+    ) as scene:
+        (building,) = scene.values()
+        assert building.attributes["b3_pw_bron"] == scene.table["b3_pw_bron"].iloc[0] == "cloud"
+
+
+def test_the_table_of_a_file_without_buildings(tmp_path: Path) -> None:
+    path = tmp_path / "none.city.json"
+    path.write_text(json.dumps({"type": "CityJSON", "version": "2.0", "CityObjects": {}, "vertices": []}))
+    table = p2wss.read(path).table
+    assert len(table) == 0 and table.index.name == "building_id"

@@ -39,9 +39,13 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
             clouds.append(path)
     if not cities:
         raise InputError(f"{paths[0]}: no CityJSON file, nor a folder with one (.city.json, .city.jsonl)")
-    of_run = cities[0].with_name(cities[0].name.split(".")[0] + ".html")
-    if len(paths) == 1 and paths[0].is_dir() and out is None and of_run.exists():
-        page = of_run  # with the points, and how footprints were moved
+    of_runs = {each.with_name(each.stem.removesuffix(".city") + ".html") for each in cities}
+    if (
+        [each.is_dir() for each in paths] == [True]
+        and out is None
+        and [each.exists() for each in of_runs] == [True]
+    ):
+        page = of_runs.pop()  # with the points, and how footprints were moved
     else:
         page = out or cities[0].with_name("view.html")
         files.write_text(page, _page(cities, clouds, crs, config.reconstruct.height_unit))

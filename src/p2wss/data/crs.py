@@ -261,8 +261,10 @@ def doubtful_place(crs: pyproj.CRS, bounds: Bounds) -> str:
     before eastings; else ""."""
     flat, (x, y) = horizontal(crs), ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
     is_there = is_plausible(crs, (x, y))
-    if not is_there and crs.is_projected and np.abs(bounds).max() >= _LOCAL and not odd_place(crs, bounds):
-        remedy = f"it is not in the area of {crs.name}: state its CRS with --crs"
+    if not is_there and crs.is_projected and not odd_place(crs, bounds):
+        remedy = (
+            f"it is not in the area of {crs.name}: state its CRS with --crs, unless its coordinates are local"
+        )
     elif (
         flat.axis_info[0].direction == "north"
         and flat.axis_info[1].direction == "east"

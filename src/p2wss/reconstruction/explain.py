@@ -18,6 +18,7 @@ from p2wss.reconstruction import scene
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs.picture import plot
 from p2wss.skeleton.angles import slope_angles
+from p2wss.storage.errors import InputError
 
 # a plane that lies over no cell would be over those in which most points are of it
 _MOST = 0.5
@@ -140,13 +141,15 @@ def _prices(fit: PlanesFit) -> Iterator[str]:
 def explain(inputs: Inputs, config: Config, building_id: str) -> Explanation:
     """Reconstruct one building as a run does, and keep what was chosen on the way.
 
-    Raises :class:`InputError` if no footprint has this id.
+    Raises :class:`InputError` if no footprint has this id, or only parts of one.
     """
     trace: list[tuple[str, PlanesFit | None]] = []
     token = TRACE.set(trace)
     try:
         selection, here = scene.Selection(ids=[building_id]), scene.Machine(threads=0)
         with scene.reconstruct(inputs, config, selection, here, progress=False) as result:
+            if building_id not in result:
+                raise InputError(f"{building_id}: is in parts; choose from {', '.join(result)}")
             building = result[building_id]
     finally:
         TRACE.reset(token)

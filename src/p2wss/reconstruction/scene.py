@@ -223,9 +223,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             return features.to_frame().set_index("building_id")
         import geopandas as gpd
 
-        rows = [{"building_id": each.building_id, **each.attributes} for each in self.values()]
-        shapes = [each.footprint for each in self.values()]
-        return gpd.GeoDataFrame(rows, geometry=shapes, crs=self.crs).set_index("building_id")
+        rows, shapes = [each.attributes for each in self.values()], [each.footprint for each in self.values()]
+        frame = gpd.GeoDataFrame(rows, index=list(self), geometry=shapes, crs=self.crs)
+        return frame.rename_axis("building_id")
 
     def points(self, building_id: str) -> np.ndarray:
         """The points within ``reconstruct.buffer_m`` of a building's footprint.
@@ -588,7 +588,7 @@ def _reconstruct(
 
     ids = rows["building_id"].tolist()
     crowns = [plant.mesh for plant in plants]
-    return Scene(ids, lambda k: _of_result(results[k], config), inputs.crs, config, stem, run, crowns)
+    return Scene(ids, lambda k: _of_result(results[k], config, facts), inputs.crs, config, stem, run, crowns)
 
 
 def read(path: str | Path) -> Scene:
@@ -597,7 +597,7 @@ def read(path: str | Path) -> Scene:
     objects, crs = cityjson_read.read_city(path)
     solids = [each for each in objects if each.is_building]
     plants = [each.mesh for each in objects if not each.is_building]
-    name = path.name.split(".")[0]
+    name = path.stem.removesuffix(".city")
     ids = [each.building_id for each in solids]
     return Scene(ids, lambda k: _of_file(solids[k]), crs, Config(), name, plants=plants)
 
@@ -665,14 +665,14 @@ def _no_overlap(num_footprints: int, inputs: Inputs, num_points: int = 0) -> str
     )
 
 
-def _of_result(result: Result, config: Config) -> SceneBuilding:
+def _of_result(result: Result, config: Config, facts: Mapping[str, Any]) -> SceneBuilding:
     reconstruction = result.reconstruction
     rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
     return SceneBuilding(
         reconstruction.building_id,
         result.status,
         result.reason,
-        attributes(result, names=config.reconstruct.attribute_names),
+        attributes(result, facts, config.reconstruct.attribute_names),
         shapely.Polygon(rings[0], rings[1:]) if rings else None,
         reconstruction.placed_mesh if reconstruction.has_mesh else None,
         reconstruction.surfaces,

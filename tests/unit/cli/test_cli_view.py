@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -82,3 +83,16 @@ def test_of_many_buildings_the_others_are_shapes(demo: Path, monkeypatch: pytest
 def test_what_is_no_cityjson_is_named(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["view", str(demo / "lidar.laz")]) == 2
     assert "no CityJSON file" in capsys.readouterr().err
+
+
+def test_two_runs_in_a_folder_are_compared(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("town", "town.v2"):
+        for ending in (".html", ".city.json"):
+            shutil.copy(demo / f"out/lidar{ending}", tmp_path / f"{name}{ending}")
+    assert p2wss.read(tmp_path / "town.v2.city.json").name == "town.v2"
+    with caplog.at_level("INFO"):
+        assert cli.main(["view", str(tmp_path)]) == 0
+    assert "view.html" in caplog.text
+    assert set(buildings(tmp_path / "view.html")[0]["meshes"]) == {"town.city.json", "town.v2.city.json"}

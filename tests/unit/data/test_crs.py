@@ -334,7 +334,7 @@ def test_coordinates_that_lie_elsewhere_by_a_common_fault(epsg: int, x: float, y
         ),
         (32633, -33_000, 6_730_000, ""),
         (28992, 85_000_000, 447_000_000, ""),
-        (28992, 130, 520, ""),
+        (28992, 130, 520, "unless its coordinates are local"),
     ],
 )
 def test_where_only_the_place_tells_what_is_wrong(epsg: int, x: float, y: float, words: str) -> None:

@@ -76,3 +76,14 @@ def test_a_scene_of_a_file_has_no_points(files: tuple[Path, Path], tmp_path: Pat
         path = next(each for each in scene.write(tmp_path, ["cityjson"], "a") if ".city." in each.name)
     with pytest.raises(p2wss.InputError, match="has no points"):
         p2wss.read(path).explain("gable")
+
+
+def test_a_footprint_in_parts_is_explained_part_by_part(files: tuple[Path, Path]) -> None:
+    frame = gpd.read_file(files[1])
+    whole = gpd.GeoDataFrame(
+        {"id": ["both"]}, geometry=[shapely.MultiPolygon(list(frame.geometry[:2]))], crs=frame.crs
+    )
+    with p2wss.reconstruct(files[0], whole, model="none", progress=False) as scene:
+        assert str(scene.explain("both-1")).startswith("both-1: ok")
+        with pytest.raises(p2wss.InputError, match="both: is in parts; choose from both-1, both-2"):
+            scene.explain("both")

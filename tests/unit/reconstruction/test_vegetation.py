@@ -17,6 +17,7 @@ import trimesh
 import p2wss
 from p2wss import cli
 from p2wss.clouds.reading import Cloud
+from p2wss.reconstruction.outputs import vegetation
 from p2wss.reconstruction.outputs.vegetation import Plant, plants
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 
@@ -77,6 +78,26 @@ def test_a_plant_does_not_depend_on_the_window(tmp_path: Path) -> None:
     whole = {plant.name: plant for plant in found(5, WINDOW, tmp_path)}
     (part,) = found(5, (240.0, 0.0, 280.0, 60.0), tmp_path)
     np.testing.assert_array_equal(part.mesh.vertex_m, whole[part.name].mesh.vertex_m)
+
+
+def test_crowns_whose_tops_are_beside_each_other_have_names_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def halves(
+        row: np.ndarray, column: np.ndarray, height_m: np.ndarray, shape: tuple[int, ...]
+    ) -> np.ndarray:
+        return np.broadcast_to(np.where(np.arange(shape[1]) < 2 * (16 + 20), 1, 2), shape)
+
+    monkeypatch.setattr(vegetation, "_basins", halves)
+    x, y = np.random.default_rng(0).uniform((10, 10), (30, 30), (4000, 2)).T
+    z, classes = np.where(np.hypot(x - 20, y - 20) < 3, 9 - np.abs(x - 20), 0.0), np.where(x < 0, 5, 2)
+    classes[z > 0] = 5
+    with CloudIndex(np.array([[0.0, 0, 40, 40]]), tmp_path) as index:
+        index.append(Cloud(x, y, z, classes.astype(np.uint8), None))
+        names = [
+            plant.name for plant in plants(index, (0.0, 0.0, 40.0, 40.0), np.array([HOUSE], dtype=object))
+        ]
+    assert len(set(names)) == len(names) == 2 and {name.split("_")[1] for name in names} == {"195", "200"}
 
 
 def test_where_there_are_no_points_nothing_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -143,8 +143,16 @@ def _plants(
             mesh = _volume(
                 np.column_stack([x_m[own], y_m[own]]), ground_m[top] + base_m, float(cloud.z_m[top])
             )
-            name = f"plant_{x_m[top]:.0f}_{y_m[top]:.0f}"
-            yield Plant(name, mesh, float(high_m), base_m, float(np.sqrt(4 / np.pi * size_m2)), len(own))
+            # the cell of the top, which is of no other crown, in decimetres: some formats allow no dot
+            place = [f"{10 * RULES.cell_m * (each[top] // RULES.cell_m):.0f}" for each in (x_m, y_m)]
+            yield Plant(
+                "_".join(["plant", *place]),
+                mesh,
+                float(high_m),
+                base_m,
+                float(np.sqrt(4 / np.pi * size_m2)),
+                len(own),
+            )
 
 
 def _basins(row: np.ndarray, column: np.ndarray, height_m: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
