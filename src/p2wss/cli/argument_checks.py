@@ -5,32 +5,23 @@ from __future__ import annotations
 
 import os
 import tempfile
-from importlib.metadata import version
 from pathlib import Path
 
-from p2wss.cli.common import bounds_of_tile, log
-from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config, DeviceName
-from p2wss.nets import weights_file
+from p2wss.cli.common import log
+from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config
+from p2wss.data.tiling import tile_bounds
 from p2wss.storage.errors import InputError
 from p2wss.storage.files import check_folder
 
 
-def check(
-    out: Path, terrain: Path | None, tile: str | None, model: Path | None, device: DeviceName, config: Config
-) -> None:
+def check(out: Path, terrain: Path | None, tile: str | None, config: Config) -> None:
     """Check what is no input.
 
     Raises :class:`InputError`, in one line, for an argument that cannot work; logs a warning for one without effect.
     """
-    _check_outputs(out, terrain, config)
-    if tile is not None:
-        bounds_of_tile(tile, config)
-    if weights_file.weights_to_use(model) is not None:
-        _check_device(device)
-
-
-def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
     check_out(out, config)
+    if tile is not None:
+        tile_bounds(tile, config.region.tile_size_m)
     outputs = config.reconstruct.outputs
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
@@ -67,12 +58,3 @@ def existing_folder(out: Path) -> Path:
     while not os.path.lexists(out):
         out = out.parent
     return out
-
-
-def _check_device(device: DeviceName) -> None:
-    """Raise :class:`InputError` for a GPU without a torch that can use one; whether there is one, torch will say."""
-    torch_version = version("torch")
-    if device == "cuda" and torch_version.endswith("+cpu"):
-        raise InputError(
-            f"--device cuda: torch {torch_version} has no CUDA; install torch with CUDA, or use --device cpu"
-        )

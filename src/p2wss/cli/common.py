@@ -66,24 +66,22 @@ def _set_level(context: click.Context, parameter: click.Parameter, value: int | 
 
 
 _level = {"expose_value": False, "callback": _set_level}
-_log_options = (
-    option("--quiet", "-q", flag_value=logging.WARNING, help="show warnings and errors only", **_level),
-    option(
-        "--verbose",
-        "-v",
-        flag_value=logging.DEBUG,
-        more=True,
-        help="show each building, step and file, with times",
-        **_level,
-    ),
+_quiet_option = option(
+    "--quiet", "-q", flag_value=logging.WARNING, help="show warnings and errors only", **_level
+)
+_verbose_option = option(
+    "--verbose",
+    "-v",
+    flag_value=logging.DEBUG,
+    more=True,
+    help="show each building, step and file, with times",
+    **_level,
 )
 
 
 def log_options(command: Any) -> Any:
     """Add the options that say what a command shows on stderr."""
-    for add in reversed(_log_options):
-        command = add(command)
-    return command
+    return _quiet_option(_verbose_option(command))
 
 
 crs_option = option("--crs", more=True, help="CRS of clouds that do not state it, such as EPSG:28992")
@@ -215,10 +213,7 @@ def _delivered(out: Path, summary: str) -> set[str]:
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:
     """Bounds of a tile and its margin, metres. Raises :class:`InputError` if ``tile`` is not a tile name."""
-    try:
-        return tile_bounds(tile, config.region.tile_size_m, margin_m)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    return tile_bounds(tile, config.region.tile_size_m, margin_m)
 
 
 def log_status_counts(out: Path, status: Iterable[str]) -> None:

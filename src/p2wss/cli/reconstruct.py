@@ -135,7 +135,7 @@ def reconstruct(
     if not clouds:
         raise click.UsageError("CLOUD, FOOTPRINTS or OUT is missing", context)
     files.check_stem(name or "")
-    argument_checks.check(out, terrain, chosen["tile"], model, device, config)
+    argument_checks.check(out, terrain, chosen["tile"], config)
     with importing(*WITHOUT):
         from p2wss.reconstruction.inputs import check_inputs
 

@@ -11,6 +11,8 @@ import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from p2wss.storage.errors import InputError
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -34,13 +36,13 @@ def tile_name(x_min: float, y_max: float, tile_size_m: float) -> str:
 def tile_bounds(name: str, tile_size_m: float, margin_m: float = 0.0) -> Bounds:
     """(x_min, y_min, x_max, y_max) of a tile, grown by ``margin_m`` on every side, metres.
 
-    Raises ``ValueError`` when ``name`` is not a tile name.
+    Raises :class:`InputError` when ``name`` is not a tile name.
 
     >>> tile_bounds("0652_6862", 1000)
     (652000.0, 6861000.0, 653000.0, 6862000.0)
     """
     if not re.fullmatch(TILE_PATTERN, name):
-        raise ValueError(f"{name!r} is not a tile name such as 0652_6862")
+        raise InputError(f"{name!r} is not a tile name such as 0652_6862")
     unit = 1000.0 if len(name) == 9 else 1.0
     x_min, y_max = (float(part) * unit for part in name.split("_"))
     return (

@@ -199,16 +199,10 @@ def run_area(
         bare = rows.bare(position[some], area.features.take(some), failure=trace)
         return [Part(bare, bare, [])]
 
-    num_done = 0
     for batch in area.batches(points):
         for part in surviving(partial(prepared, registers=registers), batch, unregistered):
-            rows.start(part, partial(_report, progress, num_done))
-            num_done += len(part.rows) + len(part.pending)
+            rows.start(part, progress)
     rows.finish(int(area.is_chosen.sum()))
-
-
-def _report(progress: Callable[[int], object], num_before: int, num_done: int) -> None:
-    progress(num_before + num_done)
 
 
 def _grown(box: np.ndarray, margin_m: float) -> np.ndarray:

@@ -46,13 +46,9 @@ def reconstruct_with_network(
     network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
     height = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in mesh_rings]
-    status = [reasons.OK if len(b.point_m) else reasons.NO_POINTS for b in buildings]
-    with_points = []
-    for i, building in enumerate(buildings):
-        if len(building.point_m) >= config.min_num_points:
-            with_points.append(i)
-        elif status[i] == reasons.OK:
-            status[i] = reasons.TOO_FEW_POINTS
+    num_points = [len(building.point_m) for building in buildings]
+    with_points = [i for i, num in enumerate(num_points) if num >= config.min_num_points]
+    status = [reasons.TOO_FEW_POINTS if num else reasons.NO_POINTS for num in num_points]
     if with_points:
         prediction = predictor.predict(
             [
@@ -66,8 +62,7 @@ def reconstruct_with_network(
                 height[i] = max(float(prediction.eave_height_m[k]), config.min_eave_height_m)
                 angle_deg = transfer_angles(network_rings[i], prediction.angle_deg[k], mesh_rings[i])
                 angle[i] = kernel_angles(angle_deg)
-            else:
-                status[i] = reasons.FOOTPRINT_TOO_LARGE
+            status[i] = reasons.OK if np.isfinite(height[i]) else reasons.FOOTPRINT_TOO_LARGE
     return build_meshes(buildings, mesh_rings, height, angle, "point2wss", config, status)
 
 

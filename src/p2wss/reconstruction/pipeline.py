@@ -116,8 +116,9 @@ class Rows:
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
         self._batch = 1 if predictor is None else _NETWORK_BATCH
-        # what computes now, and its progress
+        # what computes now, how many are done, and who is told
         self._current: Iterable[tuple[int, list[_Done]]] = ()
+        self._num_done = 0
         self._progress: Callable[[int], object] = lambda num_done: None
         # what computed before, and whether this process has done one of it
         self._before: Sequence[Row] = ()
@@ -209,9 +210,10 @@ class Rows:
 
     def start(self, part: Part, progress: Callable[[int], object] = lambda num_done: None) -> None:
         """Reconstruct the rows of a part, with several processes until the next call, or the end. progress: called with
-        the number of these that are done."""
+        the number of all rows that are done."""
         self._pending += part.pending
-        self._start(part.rows, part.bare, progress)
+        self._progress = progress
+        self._start(part.rows, part.bare)
         if self._num_processes <= 1:
             self._complete()
 
@@ -226,7 +228,7 @@ class Rows:
             for k, ground_z_m in enumerate(np.median(self._ground_z_m[known][beside], axis=1).tolist()):
                 row = self._pending[k]
                 self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
-        self._start(self._pending, self._pending, lambda num_done: None)
+        self._start(self._pending, self._pending)
         self._complete()
         if self._config.max_triangles is not None:
             self._save_triangles(
@@ -273,14 +275,14 @@ class Rows:
         reconstruction = self._results[number].reconstruction
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
-    def _start(self, rows: Sequence[Row], bare: Sequence[Row], progress: Callable[[int], object]) -> None:
+    def _start(self, rows: Sequence[Row], bare: Sequence[Row]) -> None:
         """Complete what computes now, then let the other processes begin with these rows."""
         self._complete()
         self._learn(rows)
         if self._config.max_triangles is not None:
             for row in rows:
                 self._results[self._num_rows + row.number] = row
-        self._current, self._progress = self._shared(rows, bare, self._config), progress
+        self._current = self._shared(rows, bare, self._config)
 
     def _learn(self, rows: Sequence[Row]) -> None:
         """Have the compiled code that forks need in this process, too, as loading it takes as long as six buildings:
@@ -295,7 +297,6 @@ class Rows:
 
     def _complete(self) -> None:
         """Do the rest of what was started, and store all results."""
-        num_done = 0
         for _, results in self._current:
             for number, result, seconds in results:
                 self._results[number] = result
@@ -303,8 +304,8 @@ class Rows:
                 if result.failure:
                     instead = "it gets a flat roof" if result.reconstruction.has_mesh else "it gets no mesh"
                     note(result.reconstruction.building_id, result.failure, instead)
-            num_done += len(results)
-            self._progress(num_done)
+            self._num_done += len(results)
+            self._progress(self._num_done)
         self._current = ()
 
     def _shared(

@@ -5,8 +5,9 @@ Solids that are not valid by the rules of ISO 19107 are replaced by simpler ones
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
@@ -19,8 +20,8 @@ from p2wss.reconstruction.network import Predictor, reconstruct_with_network, wi
 
 # multiples of the prices of roofs that replace an invalid one
 _PRICES = (2.0, 4.0, 8.0)
-# of a row: simpler reconstructions, the best first
-Simpler = Callable[[int], Iterable[Reconstruction]]
+# of a row: simpler reconstructions, the best first, made as they are asked for
+Simpler = Callable[[int], Iterator[Reconstruction]]
 # names of the methods, in files and reports
 NETWORK, FIT, COMPLETION_AND_FIT = "point2wss", fitting.METHOD, f"completion+{fitting.METHOD}"
 
@@ -28,7 +29,7 @@ NETWORK, FIT, COMPLETION_AND_FIT = "point2wss", fitting.METHOD, f"completion+{fi
 def with_valid_solids(
     reconstructions: Sequence[Reconstruction],
     buildings: Sequence[Building],
-    simpler: Simpler = lambda row: (),
+    simpler: Simpler = lambda row: iter(()),
 ) -> list[Reconstruction]:
     """The reconstructions, all of whose meshes are valid solids once they are stored in a file.
 
@@ -37,13 +38,9 @@ def with_valid_solids(
     """
     result = list(reconstructions)
     for row, reconstruction in enumerate(reconstructions):
-        if reconstruction.mesh is None:
-            continue
-        valid = _as_valid_solid(reconstruction)
-        if valid is None:
-            candidates = (_as_valid_solid(each) for each in simpler(row))
-            valid = next(filter(None, candidates), None)
-        result[row] = valid or no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID)
+        if reconstruction.mesh is not None:
+            valid = filter(None, map(_as_valid_solid, chain([reconstruction], simpler(row))))
+            result[row] = next(valid, no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID))
     return result
 
 

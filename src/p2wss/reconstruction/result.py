@@ -107,11 +107,11 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     on_building = building.is_on_building if building.rings else np.zeros(len(building.point_m), bool)
     point_m = building.point_m[on_building]
     point_m = point_m[:: stride(len(point_m), _MAX_RESIDUAL_POINTS)]
-    distance_m = _distances_m(point_m, reconstruction)
     # of a building without a mesh the distances are 0
-    with_distance = np.column_stack([point_m, distance_m if len(distance_m) else np.zeros(len(point_m))])
+    distance_m, mesh = np.zeros(len(point_m)), reconstruction.mesh
     residual_m = rmse_m = share_within_20cm = float("nan")
-    if len(distance_m):
+    if mesh is not None and len(point_m):
+        distance_m = distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
         residual_m, rmse_m = float(distance_m.mean()), float(np.sqrt((distance_m**2).mean()))
         share_within_20cm = float((distance_m <= _NEAR_M).mean())
     is_fitted = status == "ok" and reconstruction.method != NETWORK
@@ -121,7 +121,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         # of points in whole centimetres, as those of crops
         visible_share = seen_share(building.polygon, *np.round(building.point_m[on_building, :2], 2).T)
         overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
-    is_reliable = status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5
+    is_reliable = status == "ok" and residual_m <= config.not_representable_m and visible_share >= 0.5
     return Result(
         reconstruction,
         status,
@@ -139,7 +139,9 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         ground=row.ground,
         overhang_m=overhang_m,
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
-        sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
+        sample_m=np.column_stack([point_m, distance_m])[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(
+            np.float32
+        ),
         failure=row.failure,
         num_lines=building.num_lines,
     )
@@ -163,14 +165,6 @@ def failed(row: Row, method: str) -> Result:
         failure=row.failure,
         num_lines=row.building.num_lines,
     )
-
-
-def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
-    """Distances of points on the building to its mesh; none without both."""
-    mesh = reconstruction.mesh
-    if mesh is None or not len(point_m):
-        return np.zeros(0)
-    return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
 
 
 def summary(results: Iterable[Result | SceneBuilding]) -> str:

@@ -186,7 +186,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy, or a scene of another process, has the buildings, but not the run with its points."""
-        return _of_buildings, (list(self.values()), self.crs, self.config, self.name, self.plants)
+        building = list(self.values()).__getitem__
+        return Scene, (list(self), building, self.crs, self.config, self.name, None, self.plants)
 
     @property
     def bounds(self) -> Bounds | None:
@@ -481,38 +482,26 @@ def reconstruct(
 ) -> Scene:
     """See :func:`p2wss.reconstruct`."""
     failures = Failures(config.reconstruct.strict)
-    with failures.met():
-        return _reconstruct(inputs, config, selection, machine, progress, failures)
-
-
-def _reconstruct(
-    inputs: Inputs,
-    config: Config,
-    selection: Selection,
-    machine: Machine,
-    progress: bool | Callable[[int, int], object],
-    failures: Failures,
-) -> Scene:
-    completion = config.reconstruct.completion and inputs.completion
-    settings = config.reconstruct.model_copy(update={"completion": completion})
-    config, tile = config.model_copy(update={"reconstruct": settings}), selection.tile
-    predictor = load_network(inputs.weights, machine.device, machine.threads)
-    terrain = None if inputs.terrain is None else inputs.terrain[0]
-    outline_cloud = None
-    if inputs.footprints is None:
-        outline_cloud, features = read_outlines(inputs, config)
-    else:
-        features = read_features(inputs, settings)
-    log.debug("%d footprints read", len(features))
-    features = cleaned(features, config)
-    log.debug("%d footprints cleaned", len(features))
-    if inputs.lines is not None:
-        features = with_lines(features, inputs.lines[0])
-    is_chosen = in_tile(features, tile, config.region.tile_size_m)
-    is_chosen &= chosen(features, selection.ids, selection.bbox, inputs.footprints_name)
-    area = Area(features, is_chosen, settings)
-    folder = machine.scratch or Path(tempfile.gettempdir())
-    with ExitStack() as resources:
+    with failures.met(), ExitStack() as resources:
+        completion = config.reconstruct.completion and inputs.completion
+        settings = config.reconstruct.model_copy(update={"completion": completion})
+        config, tile = config.model_copy(update={"reconstruct": settings}), selection.tile
+        predictor = load_network(inputs.weights, machine.device, machine.threads)
+        terrain = None if inputs.terrain is None else inputs.terrain[0]
+        outline_cloud = None
+        if inputs.footprints is None:
+            outline_cloud, features = read_outlines(inputs, config)
+        else:
+            features = read_features(inputs, settings)
+        log.debug("%d footprints read", len(features))
+        features = cleaned(features, config)
+        log.debug("%d footprints cleaned", len(features))
+        if inputs.lines is not None:
+            features = with_lines(features, inputs.lines[0])
+        is_chosen = in_tile(features, tile, config.region.tile_size_m)
+        is_chosen &= chosen(features, selection.ids, selection.bbox, inputs.footprints_name)
+        area = Area(features, is_chosen, settings)
+        folder = machine.scratch or Path(tempfile.gettempdir())
         rows, boxes, around = features.take(area.is_chosen), area.boxes, None
         if settings.vegetation and len(rows):
             around = grown(shapely.total_bounds(rows.geometry).tolist(), settings.terrain_margin_m)
@@ -567,8 +556,6 @@ def _reconstruct(
                 len(results),
                 "" if terrain else "; --terrain states it",
             )
-        if terrain is not None and (difference := exports.terrain_note(results, terrain)):
-            log.info("note: %s", difference)
         facts = files.provenance(
             config=section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE),
             code=fingerprint("reconstruction"),
@@ -600,17 +587,6 @@ def read(path: str | Path) -> Scene:
     name = path.stem.removesuffix(".city")
     ids = [each.building_id for each in solids]
     return Scene(ids, lambda k: _of_file(solids[k]), crs, Config(), name, plants=plants)
-
-
-def _of_buildings(
-    buildings: Sequence[SceneBuilding],
-    crs: pyproj.CRS | None,
-    config: Config,
-    name: str,
-    plants: Sequence[Mesh],
-) -> Scene:
-    ids = [each.building_id for each in buildings]
-    return Scene(ids, buildings.__getitem__, crs, config, name, plants=plants)
 
 
 def bounds_of(meshes: Sequence[Mesh]) -> Bounds | None:

@@ -7,7 +7,7 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
@@ -40,16 +40,11 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
     integrity.verify(path)
     with reading(path, kind):
         unchunked = check_header(path)
-        if unchunked is None:
-            with laspy.open(path, **options) as reader:
-                yield reader
-            return
-        # one after the other: in parallel, a chunk is in memory as a whole
-        options["laz_backend"] = laspy.LazBackend.Lazrs
-        with (
-            _in_one_chunk(path, *unchunked) as source,
-            laspy.open(source, closefd=False, **options) as reader,
-        ):
+        if unchunked is not None:
+            # one after the other: in parallel, a chunk is in memory as a whole
+            options["laz_backend"] = laspy.LazBackend.Lazrs
+        readable = nullcontext(path) if unchunked is None else _in_one_chunk(path, *unchunked)
+        with readable as source, laspy.open(source, **options) as reader:
             yield reader
 
 

@@ -299,17 +299,6 @@ def test_a_terrain_without_crs_is_in_that_of_the_clouds(
     assert "dtm.asc: is in RGF93 v1 / Lambert-93, and has no cell at" in capsys.readouterr().err
 
 
-def test_a_torch_without_cuda_is_refused_by_its_version(
-    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(argument_checks, "version", lambda package: "2.0+cpu")
-    assert run(place, "--device", "cuda") == 2
-    assert "--device cuda: torch 2.0+cpu has no CUDA; install" in capsys.readouterr().err
-    assert run(place, "--device", "cpu") == 0
-    monkeypatch.setattr(argument_checks, "version", lambda package: "2.0+cu126")
-    assert run(place, "--device", "cuda") == 0  # the fixture's network needs no GPU
-
-
 def test_files_per_building_of_formats_without_meshes_are_a_warning(
     place: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

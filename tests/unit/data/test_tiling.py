@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from p2wss.data import seeds, tiling
+from p2wss.storage.errors import InputError
 
 
 def test_examples_in_docstrings():
@@ -38,5 +39,5 @@ def test_tiles_of_bounds_on_the_grid_lines():
 
 def test_margin_and_bad_name():
     assert tiling.tile_bounds("0652500_6862000", 500, 10) == (652490, 6861490, 653010, 6862010)
-    with pytest.raises(ValueError, match="0652-6862"):
+    with pytest.raises(InputError, match="0652-6862"):
         tiling.tile_bounds("0652-6862", 1000)

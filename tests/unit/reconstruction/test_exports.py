@@ -243,10 +243,6 @@ def test_terrain_of_another_place_is_refused(results: list[Result], tmp_path: Pa
     with pytest.raises(InputError, match="no height around the buildings"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(), away)
     assert not list(tmp_path.iterdir())
-    other = Terrain(np.full((99, 200), 50, np.float32), X - 80, Y + 50, 1.0)
-    assert "+48.0 m" in (exports.terrain_note(results, other) or "")
-    same = Terrain(np.full((99, 200), 2, np.float32), X - 80, Y + 50, 1.0)
-    assert exports.terrain_note(results, same) is None
 
 
 def test_a_file_that_cannot_be_written_leaves_the_others_whole(results: list[Result], tmp_path: Path) -> None:

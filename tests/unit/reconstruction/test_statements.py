@@ -204,11 +204,18 @@ def test_terrain_in_another_unit_is_named(tmp_path: Path, factor: float) -> None
         assert_right(built(cloud, houses.footprints(), terrain=terrain, config=config))
 
 
-def test_terrain_of_another_height_system_is_named(tmp_path: Path) -> None:
+def test_terrain_of_another_height_system_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz")
     terrain = houses.write_terrain(tmp_path / "t.tif", (houses.heights_m() + 46).astype(np.float32))
     with pytest.raises(InputError, match=r"\+46\.0 m from the ground .* same height system"):
         built(cloud, houses.footprints(), terrain=terrain)
+    # near ones are of another datum, or of another year
+    for gap_m in (0.6, 1.4):
+        near = houses.write_terrain(tmp_path / "n.tif", (houses.heights_m() + gap_m).astype(np.float32))
+        with caplog.at_level("INFO"):
+            built(cloud, houses.footprints(), terrain=near)
+        is_noted = "note: " + f"{near}: its heights are +1.4 m from the ground of the points" in caplog.text
+        assert is_noted == (gap_m > 1)
 
 
 @pytest.mark.parametrize(("offset_m", "factor", "is_of_ellipsoid"), [(43, 1, True), (0, 100, False)])

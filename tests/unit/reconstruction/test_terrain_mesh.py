@@ -15,6 +15,7 @@ from p2wss.formats.meshes import TERRAIN, Body
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import terrain_mesh
 from p2wss.skeleton.types import Polygons
+from p2wss.storage.errors import InputError
 
 X, Y = 652000.0, 6861000.0
 
@@ -89,9 +90,9 @@ def test_a_coarser_grid_of_a_large_terrain_is_told(
 
 
 def test_terrain_without_any_height_is_refused() -> None:
-    with pytest.raises(ValueError, match="no height"):
+    with pytest.raises(InputError, match="no height"):
         terrain_mesh.block(terrain(np.full((20, 20), np.nan)), (X, Y, X + 10, Y + 10), 0.1)
-    with pytest.raises(ValueError, match="no height"):
+    with pytest.raises(InputError, match="no height"):
         terrain_mesh.block(terrain(np.zeros((20, 20))), (X + 900, Y, X + 910, Y + 10), 0.1)
 
 

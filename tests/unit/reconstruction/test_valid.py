@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -68,9 +69,9 @@ def test_the_first_valid_simpler_one_takes_the_place() -> None:
     assert {breach.code for breach in surfaces_to_write(bad.placed_mesh)[1]} == {306}
     rows = []
 
-    def simpler(row: int) -> list[Reconstruction]:
+    def simpler(row: int) -> Iterator[Reconstruction]:
         rows.append(row)
-        return [replace(good, mesh=None), worse, good]
+        yield from [replace(good, mesh=None), worse, good]
 
     first, second = with_valid_solids([good, bad], [building()] * 2, simpler)
     assert is_same(first, good) and is_same(second, good) and rows == [1]

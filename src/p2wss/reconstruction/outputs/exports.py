@@ -35,9 +35,6 @@ from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 
-# a larger median gap between terrain and ground of the cloud means that their height systems differ
-_SAME_SYSTEM_M = 1.0
-
 
 def write(
     folder: Path,
@@ -221,10 +218,7 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
     corners = np.concatenate([building.mesh.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
     bounds = grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m)
-    try:
-        result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
-    except ValueError as error:
-        raise InputError(f"the terrain has no height around the buildings: {error}") from error
+    result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
     return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 
@@ -238,22 +232,6 @@ def check_coverage(terrain: Terrain, name: Path, features: Features) -> None:
     heights_m = terrain.interpolated(features["centre_x_m"], features["centre_y_m"])
     if len(features) and not np.isfinite(heights_m).any():
         raise InputError(f"{name}: has no height at any of the {len(features)} footprints")
-
-
-def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
-    """A warning if the heights of terrain and clouds differ, or None."""
-    rows = [result.reconstruction for result in results if result.reconstruction.has_mesh]
-    if not rows:
-        return None
-    centre = np.array([row.placed_mesh.vertex_m[:, :2].mean(axis=0) for row in rows])
-    gap_m = terrain.interpolated(centre[:, 0], centre[:, 1]) - [row.ground_z_m for row in rows]
-    gap_m = gap_m[np.isfinite(gap_m)]
-    if not len(gap_m):
-        return "the terrain has no heights at the buildings"
-    if abs(np.median(gap_m)) <= _SAME_SYSTEM_M:
-        return None
-    gap = f"{np.median(gap_m):+.1f} m from the ground of the clouds"
-    return f"the terrain is {gap}: are both in the same height system?"
 
 
 def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[str]:

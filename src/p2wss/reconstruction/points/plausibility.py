@@ -26,7 +26,8 @@ class Rules:
     """What a sample of footprints is, and what it tells; set by hand.
 
     num_sampled, around_m: footprints, and the distance around each in which its points are read, at most ``together``
-    of them. max_gap_m: a terrain further from the ground of the points is of other units or of another height system.
+    of them. max_gap_m: a terrain further from the ground of the points is of other units or of another height system;
+    odd_gap_m: one further than that may be.
     left_share, left_m: what is left of such a gap by one of the factors, at most: a share of the heights, or
     metres. feet_ratio: heights of points by stated ones, if the former are in feet; a stated height is of the eave or
     of the ridge. same_ratio: of most houses, this ratio is the same but for so much. high_m, slender, low_m: medians of
@@ -43,6 +44,7 @@ class Rules:
     around_m: float = 6.0
     together: int = 500_000
     max_gap_m: float = 10.0
+    odd_gap_m: float = 1.0
     left_share: float = 0.02
     left_m: float = 2.0
     feet_ratio: tuple[float, float] = (2.4, 4.4)
@@ -204,13 +206,16 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
 
 
 def check_terrain(sample: Sample, name: str) -> None:
-    """Raise :class:`InputError` for a terrain that is far from the ground of the points."""
+    """Raise :class:`InputError` for a terrain that is far from the ground of the points; log a note if it may be."""
     gap_m = sample.gap_m
-    if not len(gap_m) or abs(np.median(gap_m)) <= RULES.max_gap_m:
+    if not len(gap_m) or abs(np.median(gap_m)) <= RULES.odd_gap_m:
         return
     known = np.isfinite(sample.terrain_z_m) & np.isfinite(sample.ground_z_m)
     ground_m, terrain_m = sample.ground_z_m[known], sample.terrain_z_m[known]
     where = f"{name}: its heights are {np.median(gap_m):+.1f} m from the ground of the points"
+    if abs(np.median(gap_m)) <= RULES.max_gap_m:
+        log.info("note: %s: are both in the same height system?", where)
+        return
     for factor, unit in _FACTORS.items():
         left_m = np.abs(terrain_m * factor - ground_m)
         if np.median(left_m) <= max(RULES.left_m, RULES.left_share * np.median(np.abs(ground_m))):

@@ -118,7 +118,7 @@ class Shared(Generic[S, T]):
         for attempt in (lambda value, ending: self._function(value), *self._instead[:-1]):
             results = ((number, function(self._values[number], ending)) for function in [attempt])
             fork = _Fork(results, self._folder)
-            done = [result for _, result in fork.until_end()]
+            done = [result for received in iter(fork.received, []) for _, result in received]
             fork.close()
             if done:
                 return done[0]
@@ -153,11 +153,6 @@ class _Fork(Generic[T]):
         self._process = context.Process(target=self._send, args=(results, sender), daemon=True)
         self._process.start()
         sender.close()
-
-    def until_end(self) -> Iterator[tuple[int, T]]:
-        """All results."""
-        while self.is_running:
-            yield from self.received()
 
     def received(self) -> list[tuple[int, T]]:
         """The next result; none at the end."""

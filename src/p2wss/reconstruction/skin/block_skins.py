@@ -154,14 +154,16 @@ def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
         faces, example = np.unique(skin.mesh.label, return_index=True)
         triangle = example[np.searchsorted(faces, edges.face)]
         names = np.array(skin.building_ids, dtype=object)
+        of_sides = {
+            **{f"{letter}{{}}_m": edges.end_m[..., axis] for axis, letter in enumerate("xyz")},
+            "face_{}": edges.face,
+            "kind_{}": kinds[skin.mesh.kind[triangle]],
+            "building_id_{}": names[skin.building[triangle]],
+        }
         columns = {"skin": np.full(len(edges.face), number), "opening_angle_deg": edges.opening_angle_deg}
-        for side in (0, 1):
-            for axis, letter in enumerate("xyz"):
-                columns[f"{letter}{side}_m"] = edges.end_m[:, side, axis]
-            columns[f"face_{side}"] = edges.face[:, side]
-            columns[f"kind_{side}"] = kinds[skin.mesh.kind[triangle[:, side]]]
-            columns[f"building_id_{side}"] = names[skin.building[triangle[:, side]]]
-        parts.append(columns)
+        parts.append(
+            columns | {name.format(k): each[:, k] for name, each in of_sides.items() for k in (0, 1)}
+        )
     return {
         name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0)
         for name in WEDGES.names

@@ -15,6 +15,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.topology import border_rings, doubled_plan_areas, twins
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 
 NAME = "terrain"
@@ -32,7 +33,8 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
     ``tolerance_m`` above or below it (greedy insertion, Garland and Heckbert 1995, section 4, the worst cell of
     every triangle in each round). The sides are vertical; the bottom is level, below all ground and ``lowest_m``.
     Cells without data take the height of the nearest cell with data. Of more than 4 million cells, one in k along rows
-    and columns is used, with a warning; the attribute ``spacing_m`` tells. Raises ``ValueError`` if there is no height.
+    and columns is used, with a warning; the attribute ``spacing_m`` tells. Raises :class:`InputError` if there is no
+    height.
     """
     height_m, x_m, y_m, spacing_m = _window(terrain, bounds)
     if spacing_m > terrain.cell_m:
@@ -126,7 +128,7 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
     height[np.ix_(in_row, in_column)] = terrain.height_m[np.ix_(row[in_row], column[in_column])]
     has_data = np.isfinite(height)
     if not has_data.any():
-        raise ValueError("no height in the window")
+        raise InputError("the terrain has no height around the buildings")
     if not has_data.all():
         nearest = scipy.ndimage.distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
