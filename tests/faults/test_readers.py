@@ -99,11 +99,12 @@ def test_text_is_utf_8_in_any_locale(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text("eval: {attribution: ['© IGN, été']}\n", encoding="utf-8")
     # in ASCII: Python itself decodes the command line by the locale
     code = r"""
+from pathlib import Path
 from p2wss.config import load
 from p2wss.storage import files
 text = load("c.yaml").eval.attribution[0]
 files.write_text("c.txt", text)
-assert files.read_text("c.txt") == text == "\xa9 IGN, \xe9t\xe9"
+assert Path("c.txt").read_text(encoding="utf-8") == text == "\xa9 IGN, \xe9t\xe9"
 """
     environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LANG": "C"}
     run = subprocess.run(

@@ -18,13 +18,11 @@ from p2wss.data import reasons
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.log_lines import log
+from p2wss.storage.log_lines import first_of, log
 
 if TYPE_CHECKING:
     from p2wss.reconstruction.scene import Scene
 
-# buildings to check, and files of earlier runs, that the end of a run names
-NUM_NAMED = 5
 CITY = (".json", ".jsonl")
 # of footprints without points, beyond which the cloud may be of another place
 MAX_BARE_SHARE = 0.05
@@ -147,8 +145,7 @@ def write_run(
     Returns the exit status: 1 if a file is missing, or too many buildings, because of internal errors."""
     earlier = _delivered(out, f"{name or scene.name}.json")
     written = scene.write(out, formats, name)
-    names = [str(path.relative_to(out)) for path in written]
-    log.info("%s: %s", out, ", ".join(names))
+    log.info("%s: %s", out, ", ".join(str(path.relative_to(out)) for path in written))
     content = files.read_json(written[-1], dict[str, Any])
     counts, wedges = content["buildings"], content["wedges"]
     more = "" if wedges is None else f", {wedges} wedges"
@@ -156,7 +153,7 @@ def write_run(
     log.info("%s; %s, in %.0f s", scene.summary, size, time.monotonic() - start_s)
     if left := sorted(earlier - content["sha256"].keys()):
         files.write_json(written[-1], content | {"earlier": left})
-        log.warning("warning: %s: of an earlier run, not of this one: %s", out, _first(left))
+        log.warning("warning: %s: of an earlier run, not of this one: %s", out, first_of(left))
     if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
         log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
     if to_check := counts["to_check"]:
@@ -164,7 +161,7 @@ def write_run(
             f"{count} {name.replace('-', ' ')}" for name, count in Counter(counts["doubts"]).most_common()
         )
         rest = counts["total"] - len(to_check)
-        log.info("%d need no look, %d to check (%s): %s", rest, len(to_check), doubts, _first(to_check))
+        log.info("%d need no look, %d to check (%s): %s", rest, len(to_check), doubts, first_of(to_check))
     pages = [path for path in written if path.suffix == ".html"]
     if pages:
         log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
@@ -175,7 +172,7 @@ def write_run(
         scene.config.reconstruct.max_failed_fraction,
     )
     text = "warning: internal errors at %d of %d buildings, in all at: %s; tracebacks: %s"
-    log.warning(text, failed, counts["total"], _first(content["errors"]), written[-2])
+    log.warning(text, failed, counts["total"], first_of(content["errors"]), written[-2])
     if failed <= most * counts["total"] and content["is_complete"]:
         return 0
     log.error(
@@ -187,12 +184,6 @@ def write_run(
 def city_files(folder: Path) -> list[Path]:
     """The CityJSON files in a folder; none of what is no folder."""
     return [each for each in sorted(folder.glob("*.city.json*")) if each.suffix in CITY]
-
-
-def _first(names: list[str]) -> str:
-    """The first names, and how many there are more."""
-    more = f" and {len(names) - NUM_NAMED} more" if len(names) > NUM_NAMED else ""
-    return ", ".join(names[:NUM_NAMED]) + more
 
 
 class _Files(TypedDict):

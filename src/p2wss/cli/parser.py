@@ -112,17 +112,10 @@ class Names(click.ParamType):
         )
 
 
-class Pairs(click.ParamType):
+def _pairs(value: str) -> dict[str, str]:
     """A mapping as one word, A=B,C=D,.."""
-
-    name = "A=B,.."
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, str]:
-        """The values by their names."""
-        if isinstance(value, dict):
-            return value
-        pairs = [part.partition("=") for part in value.split(",") if part.strip()]
-        return {name.strip(): content.strip() for name, _, content in pairs}
+    pairs = [part.partition("=") for part in value.split(",") if part.strip()]
+    return {name.strip(): content.strip() for name, _, content in pairs}
 
 
 def option(*names: str, **options: Any) -> Decorator[Any]:
@@ -152,7 +145,7 @@ def setting(key: str, *names: str, more: bool = True, **options: Any) -> Decorat
     elif get_origin(kind) is list:
         options["type"], default = Names(get_args(get_args(kind)[0])), ",".join(default)
     elif isinstance(kind, type) and issubclass(kind, Section):
-        options["type"], default = Pairs(), "..."
+        options["type"], default = _pairs, "..."
     else:
         options.setdefault("type", kind)
     help = f"{options.pop('help', field.description)} [{key}{f': {default}' if default != '' else ''}]"

@@ -140,8 +140,8 @@ def reconstruct(
         from p2wss.reconstruction.inputs import check_inputs
 
     start = time.monotonic()
-    is_tile = chosen["tile"] is not None
-    checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty=is_tile, lines=lines)
+    may_be_empty = chosen["tile"] is not None
+    checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty, lines)
     with importing():
         from p2wss.reconstruction import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))

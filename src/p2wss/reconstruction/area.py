@@ -196,8 +196,9 @@ def run_area(
         if found:
             note(f"registration of {area.features['building_id'][row]}", trace, "it stays where it is")
             return found
-        bare = rows.bare(position[some], area.features.take(some), failure=trace)
-        return [Part(bare, bare, [])]
+        (bare,) = rows.bare(position[some], area.features.take(some))
+        alone = [replace(bare, status=reasons.INTERNAL_ERROR, failure=trace)]
+        return [Part(alone, alone, [])]
 
     for batch in area.batches(points):
         for part in surviving(partial(prepared, registers=registers), batch, unregistered):

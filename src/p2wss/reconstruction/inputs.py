@@ -38,7 +38,7 @@ from p2wss.reconstruction.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import UNKNOWN, placed, unit_m, with_heights
-from p2wss.storage.log_lines import log
+from p2wss.storage.log_lines import first_of, log
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -143,17 +143,15 @@ def check_inputs(
             raise InputError(f"{path}: no such file")
     headers, points = open_clouds(cloud)
     header = reading.common_header(headers) or headers[0]
-    footprints_crs = None
-    if footprints is None:
-        if header.crs is None and crs is None:
-            raise InputError(f"{header.path} does not state its CRS; state it with --crs, such as EPSG:28992")
-        names = (str(header.path), "")
-    else:
+    of_footprints = footprints if isinstance(footprints, Path) else _FOOTPRINTS
+    names, footprints_crs = (str(header.path), "" if footprints is None else str(of_footprints)), None
+    if footprints is None and header.crs is None and crs is None:
+        raise InputError(f"{header.path} does not state its CRS; state it with --crs, such as EPSG:28992")
+    if footprints is not None:
         settings = config.reconstruct
         columns = [settings.id_field, settings.height_field]
         columns += [name for name in settings.keep_columns if name != "all"]
         footprints_crs = _check_footprints(footprints, columns, may_be_empty, settings.footprint_layer)
-        names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
     source, note = common_crs(header.crs, footprints_crs, crs, names, header.bounds)
     if footprints is not None and footprints_crs is None:
         log.info("note: %s does not state its CRS; assuming %s as that of the clouds", names[1], source.name)
@@ -259,18 +257,14 @@ def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, crs: pypro
             if each.bounds and (doubt := doubt_of(crs, each.bounds)):
                 doubts.setdefault(doubt, []).append(str(each.path))
         for doubt, paths in doubts.items():
-            log.log(level, "%s: %s: %s", word, _first(paths), doubt)
+            log.log(level, "%s: %s: %s", word, first_of(paths), doubt)
     if unstated := [str(each.path) for each in far if each.crs is None]:
         log.warning(
             "warning: %s: states no CRS, and would be more than %g km from %s; if it is in another CRS, reproject it",
-            _first(unstated),
+            first_of(unstated),
             _FAR_M / 1000,
             known.path,
         )
-
-
-def _first(paths: Sequence[str]) -> str:
-    return ", ".join(paths[:3]) + " .." * (len(paths) > 3)
 
 
 def read_cloud(

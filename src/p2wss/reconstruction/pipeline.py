@@ -134,9 +134,8 @@ class Rows:
         numbers: np.ndarray,
         features: Features,
         registrations: Sequence[Registration | None] | None = None,
-        failure: str = "",
     ) -> Lazy[int, Row]:
-        """Rows without points. numbers: of each in the results. failure: for which they get no more than that."""
+        """Rows without points. numbers: of each in the results."""
         polygons = polygon_arrays.to_polygons(features.geometry)
         origin_xy_m, columns = polygon_arrays.origins(polygons), input_columns(features)
         names, status = features["building_id"].tolist(), features["status"].tolist()
@@ -159,8 +158,7 @@ class Rows:
                 stated_height_m[i],
                 line_m=None if lines is None else lines[i] - before_m,
             )
-            state = reasons.INTERNAL_ERROR if failure else status[i]
-            return Row(int(numbers[i]), building, state, columns[i], registration, failure=failure)
+            return Row(int(numbers[i]), building, status[i], columns[i], registration)
 
         return Lazy(row, range(len(features)))
 

@@ -38,7 +38,8 @@ def with_valid_solids(
     """
     result = list(reconstructions)
     for row, reconstruction in enumerate(reconstructions):
-        if reconstruction.mesh is not None:
+        # those with surfaces are known to be valid
+        if reconstruction.mesh is not None and not reconstruction.surfaces:
             valid = filter(None, map(_as_valid_solid, chain([reconstruction], simpler(row))))
             result[row] = next(valid, no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID))
     return result
@@ -82,18 +83,14 @@ def reconstruct_buildings(
             for fit, building in zip(fitting.fit(buildings, config), buildings, strict=True)
         ]
         reconstructions = with_valid_solids(fits, buildings, lambda row: simpler_fits(buildings[row], config))
-    missing = [i for i, reconstruction in enumerate(reconstructions) if not reconstruction.has_mesh]
-    flat = flat_roofs([reconstructions[i] for i in missing], [buildings[i] for i in missing], config)
-    for i, valid in zip(missing, flat, strict=True):
-        reconstructions[i] = valid
-    return reconstructions
+    return flat_roofs(reconstructions, buildings, config)
 
 
 def flat_roofs(
-    missing: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
+    reconstructions: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
 ) -> list[Reconstruction]:
-    """Valid solids with flat roofs for buildings without a mesh, or the reasons for none."""
-    return with_valid_solids(with_fallback(missing, buildings, config), buildings)
+    """The same with valid solids with flat roofs for buildings without a mesh, or the reasons for none."""
+    return with_valid_solids(with_fallback(reconstructions, buildings, config), buildings)
 
 
 def method_name(predictor: Predictor | None) -> str:

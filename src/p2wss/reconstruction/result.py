@@ -172,22 +172,20 @@ def summary(results: Iterable[Result | SceneBuilding]) -> str:
 
     ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``
     """
-    reasons: dict[str, Counter[str]] = {status: Counter() for status in STATUSES}
-    num_with_status: Counter[str] = Counter()
-    num_results = num_flagged = num_lines = num_used = 0
+    reasons: dict[str, Counter[str | None]] = {status: Counter() for status in STATUSES}
+    num_flagged = num_lines = num_used = 0
     for result in results:
-        num_results += 1
-        num_with_status[result.status] += 1
-        reasons[result.status].update(filter(None, [result.reason]))
+        reasons[result.status][result.reason] += 1
         num_flagged += result.not_representable
         if isinstance(result, Result) and result.num_lines:
             num_lines += result.num_lines
             num_used += result.reconstruction.num_lines_used
     parts = []
     for status, of_status in reasons.items():
-        text = ", ".join(f"{reason}: {count}" for reason, count in sorted(of_status.items()))
-        if num_with_status[status] or status == "ok":
-            parts.append(f"{num_with_status[status]} {status}" + (f" ({text})" if text else ""))
+        text = ", ".join(f"{reason}: {of_status[reason]}" for reason in sorted(filter(None, of_status)))
+        if of_status or status == "ok":
+            parts.append(f"{of_status.total()} {status}" + (f" ({text})" if text else ""))
     flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
     lines = f"; of {num_lines} lines {num_used} used, {num_lines - num_used} unused" if num_lines else ""
+    num_results = sum(each.total() for each in reasons.values())
     return f"{num_results} buildings: " + ", ".join(parts) + flagged + lines

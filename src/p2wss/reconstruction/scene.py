@@ -225,8 +225,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         import geopandas as gpd
 
         rows, shapes = [each.attributes for each in self.values()], [each.footprint for each in self.values()]
-        frame = gpd.GeoDataFrame(rows, index=list(self), geometry=shapes, crs=self.crs)
-        return frame.rename_axis("building_id")
+        return gpd.GeoDataFrame(rows, index=list(self), geometry=shapes, crs=self.crs).rename_axis(
+            "building_id"
+        )
 
     def points(self, building_id: str) -> np.ndarray:
         """The points within ``reconstruct.buffer_m`` of a building's footprint.
@@ -323,7 +324,12 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             )
         bodies = self._bodies(settings.skin)
         frame = frame_around(bodies, "" if self.crs is None else self.crs.to_string())
-        return exports.write_meshes(folder, name, bodies, frame, settings, {})
+        chosen = [each for each in dict.fromkeys(settings.outputs) if each in MESH_WRITERS]
+        return [
+            path
+            for each in chosen
+            for path in exports.write_meshes(folder, name, each, bodies, frame, settings, {})
+        ]
 
     def to_html(self) -> str:
         """The page of the scene: buildings in 3D and in a table, which needs no other file and no internet."""
@@ -561,12 +567,11 @@ def reconstruct(
             code=fingerprint("reconstruction"),
             crs=inputs.crs.to_string(),
             model=inputs.weights and inputs.weights.name,
+            clouds=[header.path.name for header in inputs.headers],
+            footprints=None if inputs.footprints is None else inputs.footprints_name.name,
+            **({} if inputs.lines is None else {"lines": inputs.lines[1]}),
+            terrain=None if inputs.terrain is None else inputs.terrain[1].name,
         )
-        facts["clouds"] = [header.path.name for header in inputs.headers]
-        facts["footprints"] = None if inputs.footprints is None else inputs.footprints_name.name
-        if inputs.lines is not None:
-            facts["lines"] = inputs.lines[1]
-        facts["terrain"] = None if inputs.terrain is None else inputs.terrain[1].name
         plants: list[vegetation.Plant] = []
         if around is not None:
             plants = vegetation.plants(points, around, features.geometry)
@@ -613,10 +618,8 @@ def _reporting(
     if progress is True:
         with Progress("reconstruct", total, "buildings") as bar:
             yield bar.update
-    elif callable(progress):
-        yield lambda num_done: progress(num_done, total)
     else:
-        yield lambda num_done: None
+        yield lambda num_done: progress(num_done, total) if callable(progress) else None
 
 
 def _none_usable(rows: Features, inputs: Inputs) -> str:

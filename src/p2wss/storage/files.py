@@ -307,13 +307,6 @@ def write_bytes(path: str | Path, content: bytes | memoryview, seal: bool = Fals
         temporary.write_bytes(content)
 
 
-def read_text(path: str | Path) -> str:
-    """The content of a text file. Raises :class:`InputError` if it is missing, damaged or not UTF-8."""
-    integrity.verify(path)
-    with reading(path, "UTF-8 text"):
-        return Path(path).read_text(encoding="utf-8")
-
-
 def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes") -> Any:
     """The value in a JSON file, without its checksum.
 
@@ -321,9 +314,9 @@ def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes"
     of such a file, for messages.
     Raises :class:`InputError` if it is missing, not JSON or of another type.
     """
-    text = read_text(path)
+    integrity.verify(path)
     with reading(path, "JSON"):
-        value = json.loads(text)
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
     if isinstance(value, dict):
         value.pop(_JSON_CHECKSUM, None)
     try:

@@ -183,7 +183,11 @@ def test_without_a_flat_roof_either_there_is_none(
     plant: Plant, town: Path, plain: dict[str, str], tmp_path: Path
 ) -> None:
     plant("fit.fitting.fit", BY_BUILDINGS["fit.fitting.fit"], fails())
-    plant("reconstruction.product.with_fallback", lambda rows, *more: len(rows) > 0, fails())
+    plant(
+        "reconstruction.product.with_fallback",
+        lambda rows, *more: not all(row.has_mesh for row in rows),
+        fails(),
+    )
     assert run(town, tmp_path) == 0
     assert status_of(rows_of(tmp_path)["victim"]) == ("none", "internal-error")
 

@@ -22,6 +22,7 @@ from p2wss.reconstruction.outputs.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG
 from p2wss.reconstruction.outputs.vegetation import Plant
 from p2wss.reconstruction.result import Result
 from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.storage.log_lines import first_of
 
 # as many clouds are named in the title
 _MAX_CLOUDS = 3
@@ -65,8 +66,7 @@ def _metadata(days: Sequence[str], crs: pyproj.CRS, facts: Mapping[str, Any], na
     title = f"Buildings by p2wss {__version__}"
     clouds = facts.get("clouds", [])
     if clouds:
-        more = len(clouds) - _MAX_CLOUDS
-        title += f" from {', '.join(clouds[:_MAX_CLOUDS])}" + (f" and {more} more" if more > 0 else "")
+        title += f" from {first_of(clouds, _MAX_CLOUDS)}"
     if days:
         title += f", points of {days[0]}" + (f" to {days[-1]}" if len(days) > 1 else "")
     columns = {"slope": "slope_deg", "azimuth": "azimuth_deg"}

@@ -85,12 +85,11 @@ def write(
             crowns = [plant.mesh for plant in plants]
             files.write_text(path, page_of_run(results, stem, crs, facts, crowns, terrain))
         elif output in MESH_WRITERS:
-            alone = config.model_copy(update={"outputs": [output]})
-            paths = write_meshes(folder, stem, bodies, frame, alone, facts)
+            paths = write_meshes(folder, stem, output, bodies, frame, config, facts)
             if single and output in SINGLE_FILES:
                 names.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
                 for body, file in zip(meshes, single, strict=True):
-                    paths += write_meshes(folder / stem, file, [body], frame, alone, facts)
+                    paths += write_meshes(folder / stem, file, output, [body], frame, config, facts)
         else:
             _write_results(path, output, results, plants, crs, facts, config)
         return names, paths
@@ -195,20 +194,18 @@ def _write_results(
 def write_meshes(
     folder: Path,
     stem: str,
+    output: Output,
     meshes: Sequence[Body],
     frame: Frame,
     config: Reconstruct,
     facts: Mapping[str, Any],
 ) -> list[Path]:
-    """Write the files of those of ``config.outputs`` that consist of meshes. Returns their paths."""
+    """Write the files of an output that consists of meshes. Returns their paths."""
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
-    paths = []
-    for output in dict.fromkeys(config.outputs):
-        contents = MESH_WRITERS[output](meshes, frame, options) if output in MESH_WRITERS else {}
-        for name, content in contents.items():
-            files.write_bytes(folder / name, content)
-            paths.append(folder / name)
-    return paths
+    contents = MESH_WRITERS[output](meshes, frame, options)
+    for name, content in contents.items():
+        files.write_bytes(folder / name, content)
+    return [folder / name for name in contents]
 
 
 def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> Body | None:
@@ -301,9 +298,8 @@ def mesh(result: Result, config: Reconstruct) -> Body:
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:
     """The result with these columns of its footprint only; ["all"] for all."""
-    if "all" in names:
-        return result
-    return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})
+    columns = {name: result.columns[name] for name in names if name in result.columns}
+    return result if "all" in names else replace(result, columns=columns)
 
 
 def surface_materials(columns: Mapping[str, Any], config: Reconstruct) -> dict[str, str]:
