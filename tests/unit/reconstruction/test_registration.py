@@ -407,6 +407,16 @@ def test_footprints_that_the_cloud_contradicts_are_flagged_with_the_area() -> No
     assert rows[2].roof_outside_m2 == pytest.approx(25, abs=8)
 
 
+def test_a_demolished_part_is_flagged_where_points_are_few() -> None:
+    """Of a point per square metre, a third of the cells inside have none, and hardly any square of nine has nine."""
+    cloud = cloud_of(shapely.box(0, 0, 10, 10))
+    few = Cloud(
+        *(each[::POINTS_PER_M2] for each in (cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification)), LAMBERT
+    )
+    shapes = np.array([affinity.translate(shapely.box(0, 0, 20, 10), *ORIGIN)], object)
+    assert contradictions(polygon_arrays.to_polygons(shapes), few).flags == [("partly-demolished",)]
+
+
 def test_a_building_without_a_footprint_extends_none_of_its_neighbours() -> None:
     rows = flags_of(BLOCK, shapely.union_all([*BLOCK, shapely.box(21, 0, 27, 6)]))
     assert [(row.flags, row.roof_outside_m2) for row in rows] == [((), 0.0)] * 3

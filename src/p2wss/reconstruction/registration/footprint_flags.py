@@ -70,7 +70,9 @@ def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
     in_any = of_cell >= 0
 
     num_ground, num_roof = cells.around(cells.is_ground), cells.around(cells.is_roof)
-    demolished = cells.spread((cells.around(in_any) == 9) & (num_roof == 0) & (num_ground >= RULES.min_cells))
+    demolished = cells.spread(
+        (cells.around(~in_any) == 0) & (num_roof == 0) & (num_ground >= RULES.min_cells)
+    )
     ground_inside_m2 = np.bincount(of_cell[demolished & in_any], minlength=count).astype(float)
     beyond = cells.spread((cells.around(in_any) == 0) & (num_ground == 0) & (num_roof >= RULES.min_cells))
     roof_outside_m2 = _of_nearest(polygons, cells, footprint, cell, beyond)
