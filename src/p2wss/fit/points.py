@@ -102,26 +102,26 @@ def shaft_points(
     gap_m = max(float((polygon.area / len(roof_m)) ** 0.5), _CELL_M / 4)
     start_m, end_m = point_m[:, :2].min(axis=0), point_m[:, :2].max(axis=0)
     step_m = _FLOOR_STEP * gap_m
-    x, y = np.meshgrid(*(np.arange(a, b, step_m) for a, b in zip(start_m, end_m, strict=True)), indexing="ij")
-    place_m = np.column_stack([x.ravel(), y.ravel()])
+    x_m, y_m = (np.arange(a, b, step_m) for a, b in zip(start_m, end_m, strict=True))
+    is_free = shapely.contains_xy(polygon, x_m[:, None], y_m)
+    column, row = np.nonzero(is_free)
+    place_m = np.column_stack([x_m[column], y_m[row]])
     # a disc without points on the roof, of which each place is part
     radius_m = max(_SHAFT_RADIUS_M, _NUM_GAPS * gap_m)
-
-    def nearest_place(xy_m: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(np.minimum(np.rint((xy_m - start_m) / step_m).astype(int), np.array(x.shape) - 1).T)
-
-    inside = shapely.contains_xy(polygon, *place_m.T)
-    within_m = place_m[inside]
-    middle_m = within_m[nearest(roof_m[:, :2], within_m)[0][:, 0] > radius_m]
+    middle_m = place_m[nearest(roof_m[:, :2], place_m)[0][:, 0] > radius_m]
     if not len(middle_m):
         return np.zeros((0, 3))
-    inside[inside] = nearest(middle_m, within_m)[0][:, 0] < radius_m
-    first, second = cell_neighbours(x)
-    linked = inside[first] & inside[second]
-    area = groups(x.size, np.column_stack([first[linked], second[linked]]))
-    area_of_low = area.reshape(x.shape)[nearest_place(low_m[:, :2])]
+    chosen = nearest(middle_m, place_m)[0][:, 0] < radius_m
+    place_m, is_free[is_free] = place_m[chosen], chosen
+    area, area_at = (
+        groups(len(place_m), np.column_stack(cell_neighbours(is_free))),
+        np.full(is_free.shape, -1, np.int32),
+    )
+    area_at[is_free] = area
+    cell = np.minimum(np.rint((low_m[:, :2] - start_m) / step_m).astype(int), np.array(is_free.shape) - 1)
+    area_of_low = area_at[tuple(cell.T)]
     floors = [np.zeros((0, 3))]
-    for number in np.flatnonzero(np.bincount(area, inside) * step_m**2 >= _MIN_SHAFT_M2):
+    for number in np.flatnonzero(np.bincount(area) * step_m**2 >= _MIN_SHAFT_M2):
         floor_m, low_z = place_m[area == number], low_m[area_of_low == number, 2]
         if len(low_z) < _MIN_LOW_POINTS:
             continue

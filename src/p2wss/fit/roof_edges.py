@@ -204,9 +204,10 @@ def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: 
     num_bins = max(1, int((length - 2 * _AT_CORNER_M) / RULES.bin_m))
     begins_m, num_begins = np.empty(num_bins), 0
     near_z, next_z = np.empty(len(row)), np.empty(len(row))
+    bins, order = ordering.sorted_by(np.minimum((share * num_bins).astype(np.int64), num_bins - 1), num_bins)
     for number in range(num_bins):
         num_near = num_next = ZERO
-        here = np.flatnonzero(np.minimum((share * num_bins).astype(np.int64), num_bins - 1) == number)
+        here = order[bins[number] : bins[number + 1]]
         for k in here:
             if _NEAR_M < depth[k] <= _NEAR_M + 1.0:
                 near_z[num_near], num_near = point_m[row[k], 2], num_near + 1

@@ -23,11 +23,17 @@ def groups(size: int, pairs: np.ndarray) -> np.ndarray:
     return np.asarray(grouped(int(size), writable(pairs, np.int64)))
 
 
-def cell_neighbours(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flat indices of all pairs of cells of a grid (rows, columns) that share a side."""
-    index = np.arange(grid.size).reshape(grid.shape)
-    first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
-    second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
+def cell_neighbours(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of cells in a mask (rows, columns) that share a side: their numbers among those in it.
+
+    >>> [each.tolist() for each in cell_neighbours(np.array([[True, False], [True, True]]))]
+    [[1, 0], [2, 1]]
+    """
+    number = np.full(mask.shape, -1, np.int32)
+    number[mask] = np.arange(np.count_nonzero(mask))
+    sides = ((number[:, :-1], number[:, 1:]), (number[:-1], number[1:]))
+    pairs = [(one[here], other[here]) for one, other in sides for here in [(one >= 0) & (other >= 0)]]
+    first, second = (np.concatenate(each) for each in zip(*pairs, strict=True))
     return first, second
 
 

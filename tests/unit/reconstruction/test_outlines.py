@@ -197,6 +197,12 @@ def test_houses_of_one_height_are_one() -> None:
     assert len(outlines(cloud, Outlines(jump_m=0.5))) == 2
 
 
+def test_small_parts_that_join_one_after_another_are_one() -> None:
+    """A part of one cell joins one of two, and both the part of six beside that."""
+    label = np.array([0, 1, 1, 2, 2, 2, 2, 2, 2])
+    assert tracing._joined(label, np.arange(8), np.arange(1, 9), 4).tolist() == 9 * [2]
+
+
 def test_large_buildings_are_split_at_smaller_jumps() -> None:
     # 1 m: less than the jump, more than half of it
     cloud = scene((shapely.box(0, 0, 9, 10), 6.0), (shapely.box(9, 0, 20, 10), 7.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import geopandas as gpd
@@ -418,3 +419,18 @@ def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
     assert not len(found(roof_m[(roof_m[:, 0] < 6) | (roof_m[:, 1] > 3)], street_m))
     # nor is a place that is not far below
     assert not len(found(roof_m[~well], np.add(floor_m, (0, 0, 9.5))))
+
+
+def test_the_shaft_of_a_long_diagonal_building_takes_no_grid_of_what_is_around_it() -> None:
+    draw = np.random.default_rng(0)
+    plan_m = draw.uniform((0, 0), (400, 10), (16_000, 2))
+    low = (np.abs(plan_m - [30, 5]) < 3).all(axis=1)
+    turn = np.array([[1, 1], [-1, 1]]) / np.sqrt(2)
+    point_m = np.column_stack([plan_m @ turn, np.where(low, 0.0, 8.0)])
+    classes = np.where(low, UNCLASSIFIED_CLASS, BUILDING_CLASS).astype(np.uint8)
+    polygon = shapely.Polygon(np.array([(0, 0), (400, 0), (400, 10), (0, 10)]) @ turn)
+    tracemalloc.start()
+    shaft_m = shaft_points(polygon, point_m, classes, point_m[~low], 0.5)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert low.sum() < len(shaft_m) < 1000 and most < 2e7

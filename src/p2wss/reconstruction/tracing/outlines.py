@@ -281,24 +281,21 @@ def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.nd
 def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: float) -> np.ndarray:
     """The buildings: cells of a block that connect without a jump in height; small ones join a neighbour. Large ones
     are split again at smaller jumps."""
-    first, second = cell_neighbours(block)
-    flat, z_m = block.ravel(), height_m.ravel()
-    is_near = flat[first] + flat[second] > 0
-    first, second = first[is_near], second[is_near]
+    is_block = block > 0
+    first, second = cell_neighbours(is_block)
+    z_m, label, building = height_m[is_block], block[is_block], np.zeros_like(block)
     jump_m = np.abs(z_m[first] - z_m[second])
-    label = flat.astype(np.int64)
-    is_large = np.ones(label.max() + 1, bool)
+    is_large = np.ones(label.max(initial=0) + 1, bool)
     least_m = settings.jump_m
     while True:
-        connects = (label[first] == label[second]) & (label[first] > 0)
+        connects = label[first] == label[second]
         connects &= ~is_large[label[first]] | (jump_m <= least_m)
-        parts = groups(flat.size, np.column_stack([first[connects], second[connects]]))
-        parts = np.unique(np.where(flat > 0, parts, -1), return_inverse=True)[1]
+        parts = groups(len(label), np.column_stack([first[connects], second[connects]]))
         label = _joined(parts, first, second, settings.min_part_m2 / cell_m**2)
         is_large = np.bincount(label) * cell_m**2 > settings.max_area_m2
-        is_large[0] = False
         if least_m <= _LEAST_JUMP_M or not is_large.any():
-            return label.reshape(block.shape)
+            building[is_block] = label + 1
+            return building
         least_m = max(least_m / 2, _LEAST_JUMP_M)
 
 
@@ -314,17 +311,19 @@ def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells:
     target = np.arange(len(count))
     # smallest first; a part that grows is seen again in its turn
     for part in np.argsort(count, kind="stable").tolist():
-        around = {other: number for other, number in walls[part].items() if other}
-        if part == 0 or not around or count[part] >= min_cells:
+        around = walls[part]
+        if not around or count[part] >= min_cells:
             continue
         longest = max(around, key=lambda other: (around[other], -other))
-        target[target == part] = longest
+        target[part] = longest
         count[longest] += count[part]
-        for other, number in walls[part].items():
+        for other, number in around.items():
             del walls[other][part]
             if other != longest:
                 walls[longest][other] = walls[other][longest] = walls[longest].get(other, 0) + number
-    return target[label].astype(np.int32)
+    while (target[target] != target).any():
+        target = target[target]
+    return target[label]
 
 
 def _block_traces(raster: Raster, settings: Outlines) -> list[tuple[shapely.Polygon, Raster]]:
