@@ -68,10 +68,7 @@ def ground_points(
     """The points (k, 3) of class ground that lie more than ``inside_m`` within the polygon, where a roof would hide
     the ground."""
     ground_m = point_m[classification == GROUND_CLASS]
-    if not shapely.contains_xy(polygon, ground_m[:, 0], ground_m[:, 1]).any():
-        return np.zeros((0, 3))
-    within = polygon.buffer(-inside_m)
-    return ground_m[shapely.contains_xy(within, ground_m[:, 0], ground_m[:, 1])]
+    return ground_m[shapely.contains_xy(polygon.buffer(-inside_m), ground_m[:, 0], ground_m[:, 1])]
 
 
 def shaft_points(
@@ -82,19 +79,15 @@ def shaft_points(
     inside_m: float,
 ) -> np.ndarray:
     """Points (k, 3) on the floors of shafts and other places within the polygon that no roof covers: compact areas
-    without points on the roof (r, 3) whose points are far below those on the roof beside them. Points less than
-    ``inside_m`` within the polygon show none, as the building's own walls are seen from outside, too.
+    without points on the roof (r, 3), four at least, whose points are far below those on the roof beside them. Points
+    less than ``inside_m`` within the polygon show none, as the building's own walls are seen from outside, too.
 
-    Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
+    Walls hide most of such a floor, so that it gets twice as many points as a roof, at the height of the low points.
     """
     low_m = point_m[~has_class(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
-    if (
-        shapely.contains_xy(polygon, low_m[:, 0], low_m[:, 1]).sum() < _MIN_LOW_POINTS
-        or len(roof_m) < _NUM_BESIDE
-    ):
+    low_m = low_m[shapely.contains_xy(polygon.buffer(-inside_m), low_m[:, 0], low_m[:, 1])]
+    if len(low_m) < _MIN_LOW_POINTS:
         return np.zeros((0, 3))
-    within = polygon.buffer(-inside_m)
-    low_m = low_m[shapely.contains_xy(within, low_m[:, 0], low_m[:, 1])]
     _, beside = nearest(roof_m[:, :2], low_m[:, :2], _NUM_BESIDE)
     low_m = low_m[low_m[:, 2] < roof_m[beside, 2].min(axis=1) - _BELOW_ROOF_M]
     if len(low_m) < _MIN_LOW_POINTS:
@@ -113,20 +106,15 @@ def shaft_points(
         return np.zeros((0, 3))
     chosen = nearest(middle_m, place_m)[0][:, 0] < radius_m
     place_m, is_free[is_free] = place_m[chosen], chosen
-    area, area_at = (
-        groups(len(place_m), np.column_stack(cell_neighbours(is_free))),
-        np.full(is_free.shape, -1, np.int32),
-    )
-    area_at[is_free] = area
+    area_at = np.full(is_free.shape, -1, np.int32)
+    area_at[is_free] = area = groups(len(place_m), np.column_stack(cell_neighbours(is_free)))
     cell = np.minimum(np.rint((low_m[:, :2] - start_m) / step_m).astype(int), np.array(is_free.shape) - 1)
     area_of_low = area_at[tuple(cell.T)]
     floors = [np.zeros((0, 3))]
     for number in np.flatnonzero(np.bincount(area) * step_m**2 >= _MIN_SHAFT_M2):
         floor_m, low_z = place_m[area == number], low_m[area_of_low == number, 2]
-        if len(low_z) < _MIN_LOW_POINTS:
-            continue
-        num_near = (nearest(low_m[:, :2], floor_m)[0] < radius_m).sum()
-        if num_near >= _LOW_SHARE * len(floor_m):
+        is_seen = nearest(low_m[:, :2], floor_m)[0] < radius_m
+        if len(low_z) >= _MIN_LOW_POINTS and is_seen.sum() >= _LOW_SHARE * len(floor_m):
             floor_z = np.quantile(low_z, _FLOOR_QUANTILE)
             floors.append(np.column_stack([floor_m, np.full(len(floor_m), floor_z)]))
     return np.concatenate(floors)
@@ -152,11 +140,7 @@ def even_order(point_m: np.ndarray) -> np.ndarray:
     this order makes an even sample."""
     x, y, z = np.ascontiguousarray(point_m.T)
     cell_x, cell_y = (np.floor((each - each.min()) / _CELL_M).astype(np.int64) & 0xFFFF for each in (x, y))
-    code = _SPREAD[cell_x] | (_SPREAD[cell_y] << 1)
-    order = np.lexsort((x, code))
-    ordered_code, ordered_x = code[order], x[order]
-    tie = (ordered_code[1:] == ordered_code[:-1]) & (ordered_x[1:] == ordered_x[:-1])
-    return np.lexsort((z, y, x, code)) if tie.any() else order
+    return np.lexsort((z, y, x, _SPREAD[cell_x] | (_SPREAD[cell_y] << 1)))
 
 
 def every_kth(num_points: int, max_count: int) -> np.ndarray:

@@ -79,10 +79,9 @@ def move_walls(
     after = edge_ends([ring])[:, 1]
     shift_m = np.zeros(len(ring))
     for i, ends in enumerate(zip(ring, after, strict=True)):
-        if _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
-            within_m = min(_shift_m(*ends, roof_point_m), max_shift_m)
-            if within_m and _is_open(*ends, within_m, ground_m, building_m, RULES.ground_share):
-                shift_m[i] = within_m
+        within_m = min(_shift_m(*ends, roof_point_m), max_shift_m)
+        if within_m and _is_open(*ends, within_m, ground_m, building_m):
+            shift_m[i] = within_m
     # a short edge between two that move, the chamfer of a corner, moves with them
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < RULES.min_edge_m).tolist():
         shift_m[i] = min(shift_m[i - 1], shift_m[(i + 1) % len(ring)])
@@ -129,10 +128,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     ring: (e, 2), counter-clockwise. point_m (m, 3), classification (m,): all points up to 1 m around the footprint.
     """
     building_m, ground_m = (point_m[classification == each] for each in (BUILDING_CLASS, GROUND_CLASS))
-    result = np.full(len(ring), np.nan)
-    if min(len(building_m), len(ground_m)) < RULES.min_points:
-        return result
-    after = edge_ends([ring])[:, 1]
+    result, after = np.full(len(ring), np.nan), edge_ends([ring])[:, 1]
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) >= RULES.min_edge_m).tolist():
         start, end = ring[i], after[i]
         ground_depth_m = _beside(start, end, ground_m)[1]
@@ -232,15 +228,11 @@ def _is_open(
     shift_m: float,
     ground_m: np.ndarray,
     building_m: np.ndarray,
-    ground_share: float,
 ) -> bool:
-    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge: more than
-    ``ground_share`` of the points within it are of the ground."""
+    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge."""
     inside, beyond = [], []
     for xy_m in (ground_m, building_m):
         _, depth, _ = _beside(start, end, xy_m)
         inside.append(int(((depth > 0) & (depth < shift_m)).sum()))
-        if not inside[0]:
-            return False
         beyond.append(int(((depth < 0) & (depth > -RULES.beyond_m)).sum()))
-    return inside[0] > ground_share * sum(inside) and beyond[1] <= RULES.most_building * beyond[0]
+    return inside[0] > RULES.ground_share * sum(inside) and beyond[1] <= RULES.most_building * beyond[0]

@@ -26,9 +26,6 @@ class Parametric:
     num_points: int = 300
     # metres: larger residuals count as this
     cap_m: float = 1.0
-    # a plane that brings its points nearer to the roof by less than this in all is no candidate: hardly any face is
-    # cheaper; swept
-    least_m3: float = 0.3
     # metres: the least squares take no larger ones
     reach_m: float = 1.0
     # metres that another class of an edge gains, with so many points; proportionally more with fewer; swept

@@ -38,16 +38,14 @@ def fit_roof(
     settings: Parametric = PARAMETRIC,
     max_roof_height_m: float = np.inf,
 ) -> FittedRoof | None:
-    """The best roof over a polygon for the points (m, 3) inside it, which are in the frame of the rings, with whole
-    degrees where that costs little. None with fewer than three points or a polygon that the kernel refuses.
-    Deterministic, whatever the order of the points.
+    """The best roof over a polygon for the points (m, 3) inside it, one at least, which are in the frame of the rings,
+    with whole degrees where that costs little. None with a polygon that the kernel refuses. Deterministic, whatever the
+    order of the points.
 
     max_roof_height_m: above the eave.
 
     The loss is never above that of a flat roof.
     """
-    if len(point_m) < MIN_NUM_POINTS:
-        return None
     ordered_m = point_m[even_order(point_m)]
     polygon = Polygons.from_rings([list(rings)])
     direction, axis = edge_groups(rings)
