@@ -10,7 +10,7 @@ do not count as outside.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -26,16 +26,16 @@ from p2wss.reconstruction.registration.shifts import (
     DATA_M,
     EXPECTED,
     MAX_SHIFT_M,
+    NO_ESTIMATE,
     SEARCH,
     Estimate,
     edge_steps,
-    no_estimate,
     point_weights,
     search_shift,
     solve_shift,
 )
 from p2wss.reconstruction.running.failures import note, surviving
-from p2wss.skeleton.types import Polygons, distinct, numbered
+from p2wss.skeleton.types import distinct, numbered
 from p2wss.storage.features import Features
 
 # so far inside its outlines, a block has no walls, and moved by as much no trees
@@ -164,11 +164,10 @@ def register(
     is_own = registers < CLASSES
     of_own = np.zeros(len(blocks), bool)
     of_own[blocks.of_footprint[is_own & (blocks.of_footprint >= 0)]] = True
-    shifts = block_shifts(blocks, cloud, of_own, least_id)
+    shifts = decide(_Near(blocks, cloud).estimates(least_id), blocks_around(blocks), of_own)
     polygons = polygon_arrays.to_polygons(shapes)
     of_vertex = np.repeat(blocks.of_footprint, np.diff(polygons.vertex_offset))
-    xy_m = moved(polygons.xy_m, of_vertex, shifts.shift_m)
-    moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
+    moved_polygons = replace(polygons, xy_m=polygons.xy_m + shifts.shift_m[of_vertex])
     geometries = polygon_arrays.to_geometries(moved_polygons)
     evidence = contradictions(moved_polygons, cloud)
     rows = []
@@ -231,14 +230,18 @@ class Surroundings:
         self._box = shapely.box(*(bounds * [1, 1, -1, -1]).T)
         self._tree = shapely.STRtree(self._box)
 
-    def around(self, is_chosen: np.ndarray) -> np.ndarray:
+    def around(
+        self,
+        is_chosen: np.ndarray,
+        distances_m: Sequence[float] = (_BESIDE_M, _AROUND_M + 1, 2 * REACH_M),
+    ) -> np.ndarray:
         """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
 
         These are all footprints of their blocks, those beside them, which their flags depend on, those around all
         these, whose shift they may get, and those with which they compete for points.
         """
         blocks = np.unique(self._of_present[is_chosen[self._present]])
-        for distance_m in (_BESIDE_M, _AROUND_M + 1, 2 * REACH_M):
+        for distance_m in distances_m:
             blocks = np.unique(
                 self._tree.query(self._box[blocks], predicate="dwithin", distance=distance_m)[1]
             )
@@ -248,22 +251,7 @@ class Surroundings:
 
     def whole_blocks(self, is_chosen: np.ndarray) -> np.ndarray:
         """All footprints of the blocks of the chosen ones, bool (footprints,)."""
-        blocks = self._of_present[is_chosen[self._present]]
-        result = is_chosen.copy()
-        result[self._present[np.isin(self._of_present, blocks)]] = True
-        return result
-
-
-def moved(xy_m: np.ndarray, block: np.ndarray, shift_m: np.ndarray) -> np.ndarray:
-    """Vertices (v, 2) of blocks, moved by the shifts of these, (n, 2)."""
-    return xy_m + shift_m[block] if len(shift_m) else xy_m
-
-
-def block_shifts(
-    blocks: Blocks, cloud: Cloud, is_own: np.ndarray, names: Mapping[int, str] | None = None
-) -> Shifts:
-    """The movement of every block. is_own: see :func:`decide`. names: of blocks, for messages."""
-    return decide(_Near(blocks, cloud).estimates(names or {}), blocks_around(blocks), is_own)
+        return self.around(is_chosen, ())
 
 
 def blocks_around(blocks: Blocks) -> np.ndarray:
@@ -279,7 +267,7 @@ def blocks_around(blocks: Blocks) -> np.ndarray:
 
 
 class _Near:
-    """The points near blocks, and the blocks where they are assumed to be."""
+    """The points near blocks that are in no other one, and the blocks where they are assumed to be."""
 
     def __init__(self, blocks: Blocks, cloud: Cloud) -> None:
         self.blocks = blocks
@@ -296,9 +284,11 @@ class _Near:
         self.is_missed = with_missed_roofs(blocks, self.x_m, self.y_m, is_roof, is_like)
         point = number[point]
         first = np.searchsorted(blocks.of_outline, np.arange(len(blocks) + 1))
-        self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]
-        for block in np.flatnonzero(np.diff(first) > 1).tolist():
-            self.points[block] = distinct(self.points[block])
+        self.points = [distinct(point[offset[a] : offset[b]]) for a, b in pairwise(first)]
+        inside = self.block_of_points()
+        self.points = [
+            each[(inside[each] == block) | (inside[each] < 0)] for block, each in enumerate(self.points)
+        ]
         self.outlines = polygon_arrays.to_geometries(blocks.outline)
         self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
 
@@ -312,23 +302,19 @@ class _Near:
         return result
 
     def estimates(self, names: Mapping[int, str]) -> list[Estimate]:
-        """The estimate of every block; where errors are met, none of a block at which it fails."""
+        """The estimate of every block; where errors are met, none of a block at which it fails. names: of blocks."""
         blocks, rows = self.blocks, list(pairwise(self.edges))
-        inside = self.block_of_points()
         failed: set[int] = set()
 
         def search(block: int) -> np.ndarray:
             first, last = rows[block]
             point = self.points[block]
-            point = point[(inside[point] == block) | (inside[point] < 0)]
             xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
             weight = self.weights[int(self.is_missed[block])]
             return search_shift(blocks.edge[first:last], xy_m, weight[point])
 
         def stays(block: int, trace: str) -> list[np.ndarray]:
-            note(
-                f"registration of the block of {names.get(block, str(block))}", trace, "it stays where it is"
-            )
+            note(f"registration of the block of {names[block]}", trace, "it stays where it is")
             failed.add(block)
             return [np.zeros(2)]
 
@@ -339,14 +325,14 @@ class _Near:
 
         def unknown(block: int, trace: str) -> list[Estimate]:
             stays(block, trace)
-            return [no_estimate()]
+            return [NO_ESTIMATE]
 
         numbers = range(len(blocks))
         shift_m = np.array(surviving(lambda some: map(search, some), numbers, stays)).reshape(-1, 2)
-        best = [no_estimate()] * len(blocks)
+        best = [NO_ESTIMATE] * len(blocks)
         is_missed = self.is_missed[blocks.of_edge]
         for _ in range(_NUM_ROUNDS):
-            edge = moved(blocks.edge.reshape(-1, 2), np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
+            edge = blocks.edge + np.tile(shift_m[blocks.of_edge], 2)
             step_m, step_sd_m = np.full((2, len(edge)), np.nan)
             for weight, some in zip(self.weights, (~is_missed, is_missed), strict=True):
                 step_m[some], step_sd_m[some] = edge_steps(edge[some], self.x_m, self.y_m, weight)
@@ -354,15 +340,14 @@ class _Near:
             found_m = np.array([each.shift_m for each in found]).reshape(-1, 2)
             shift_m = np.where(np.hypot(*found_m.T)[:, None] <= MAX_SHIFT_M, found_m, shift_m)
             best = [min(pair, key=lambda each: each.sd_m) for pair in zip(best, found, strict=True)]
-        return [no_estimate() if self._is_worse(k, each, inside) else each for k, each in enumerate(best)]
+        return [NO_ESTIMATE if self._is_worse(k, each) else each for k, each in enumerate(best)]
 
-    def _is_worse(self, block: int, estimate: Estimate, inside: np.ndarray) -> bool:
+    def _is_worse(self, block: int, estimate: Estimate) -> bool:
         """Whether less of what is inside a block would be roofs if it were moved by an estimate than where it is: of
-        sparse points, steps of many short edges can agree by chance. inside: the block of each point."""
+        sparse points, steps of many short edges can agree by chance."""
         if not estimate.sd_m <= EVIDENCE.max_sd_m or np.hypot(*estimate.shift_m) < EVIDENCE.min_shift_m:
             return False
         point = self.points[block]
-        point = point[(inside[point] == block) | (inside[point] < 0)]
         weight = self.weights[int(self.is_missed[block])][point]
         first, last = np.searchsorted(self.blocks.of_outline, [block, block + 1])
         shape = shapely.union_all(self.outlines[first:last])

@@ -104,9 +104,8 @@ class Estimate:
     overhang_m: float
 
 
-def no_estimate() -> Estimate:
-    """That of a block whose edges show nothing."""
-    return Estimate(np.zeros(2), float("inf"), float("nan"))
+# that of a block whose edges show nothing
+NO_ESTIMATE = Estimate(np.zeros(2), float("inf"), float("nan"))
 
 
 def point_weights(classification: np.ndarray) -> np.ndarray:
@@ -256,7 +255,7 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, sta
     """
     rows = np.flatnonzero(np.isfinite(step_m))
     if not len(rows):
-        return no_estimate()
+        return NO_ESTIMATE
     along = edge[rows, 2:] - edge[rows, :2]
     normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
     design = np.column_stack([normal, np.ones(len(rows))])
