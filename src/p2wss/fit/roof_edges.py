@@ -73,21 +73,18 @@ def move_walls(
     classification (m,): all points in and around the footprint.
     """
     ring = rings[0]
-    if max_shift_m < RULES.min_shift_m or len(roof_point_m) < RULES.min_points:
-        return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
     after = edge_ends([ring])[:, 1]
     shift_m = np.zeros(len(ring))
     for i, ends in enumerate(zip(ring, after, strict=True)):
-        within_m = min(_shift_m(*ends, roof_point_m), max_shift_m)
-        if within_m and _is_open(*ends, within_m, ground_m, building_m):
+        begins_m = _begins_m(*ends, roof_point_m, 0.0)
+        within_m = min(median(begins_m), max_shift_m) if len(begins_m) else 0.0
+        if within_m >= RULES.min_shift_m and _is_open(*ends, within_m, ground_m, building_m):
             shift_m[i] = within_m
     # a short edge between two that move, the chamfer of a corner, moves with them
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < RULES.min_edge_m).tolist():
         shift_m[i] = min(shift_m[i - 1], shift_m[(i + 1) % len(ring)])
     moved = _moved_ring(ring, shift_m, 2 * max_shift_m)
-    if moved is ring:
-        return list(rings)
     polygon, original = shapely.Polygon(moved, rings[1:]), shapely.Polygon(ring, rings[1:])
     if not polygon.is_valid or polygon.area < 0.5 * original.area:
         return list(rings)
@@ -131,14 +128,10 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     result, after = np.full(len(ring), np.nan), edge_ends([ring])[:, 1]
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) >= RULES.min_edge_m).tolist():
         start, end = ring[i], after[i]
-        ground_depth_m = _beside(start, end, ground_m)[1]
-        # without ground, as along party walls, there is nothing to find
-        if ((ground_depth_m >= -RULES.beyond_m) & (ground_depth_m < _FAR_M)).sum() < RULES.min_points:
-            continue
         begins_m = _begins_m(start, end, building_m, -RULES.beyond_m)
         if not len(begins_m):
             continue
-        depth_m = _beside(start, end, building_m)[1]
+        ground_depth_m, depth_m = (_beside(start, end, each)[1] for each in (ground_m, building_m))
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
         num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
         inner_length_m = np.hypot(*(end - start)) - 2 * _AT_CORNER_M
@@ -161,13 +154,6 @@ def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.nd
         return float("nan")
     length_m = np.hypot(*(edge_ends([ring])[:, 1] - ring).T)
     return float((overhang_m * length_m)[is_known].sum() / length_m[is_known].sum())
-
-
-def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:
-    """How far behind an edge the roof begins, 0 where it does so at the edge or where that is not clear."""
-    begins_m = _begins_m(start, end, point_m, 0.0)
-    shift_m = median(begins_m) if len(begins_m) else 0.0
-    return shift_m if shift_m >= RULES.min_shift_m else 0.0
 
 
 @both
