@@ -265,8 +265,7 @@ def _reduce(lines: list[_Line], min_edge_m: float) -> None:
         if len(lines) <= 4 or counted_m[shortest] >= min_edge_m:
             break
         for line, length in zip(lines, length_m.tolist(), strict=True):
-            if np.isfinite(length):
-                line.length = max(length, RULES.least_length_m)
+            line.length = max(length, RULES.least_length_m)
         lines.pop(shortest)
 
 
@@ -314,11 +313,10 @@ def _corners(lines: list[_Line]) -> np.ndarray:
 
 
 def _lengths(lines: list[_Line]) -> np.ndarray:
-    """Length of each edge, negative where its corners have changed order."""
+    """Length of each edge, negative where its corners have changed order; NaN beside parallel lines."""
     corner = _corners(lines)
     vector = np.roll(corner, -1, axis=0) - corner
-    length_m = np.array([step @ line.direction for step, line in zip(vector, lines, strict=True)])
-    return np.where(np.isnan(length_m), np.inf, length_m)
+    return np.array([step @ line.direction for step, line in zip(vector, lines, strict=True)])
 
 
 def _polygon(lines: list[_Line], trace: shapely.LinearRing) -> shapely.Polygon | None:

@@ -398,9 +398,8 @@ def _assembled(
         part = parts.pop(0)
         wall_m = [part.intersection(other).length for other in parts]
         longest = int(np.argmax(wall_m))
-        if wall_m[longest] > 0:
-            joined = shapely.union_all([parts[longest], part])
-            if joined.geom_type == "Polygon":
-                parts[longest] = joined
+        joined = shapely.union_all([parts[longest], part])
+        if joined.geom_type == "Polygon":
+            parts[longest] = joined
         parts.sort(key=lambda part: part.area)
     return parts
