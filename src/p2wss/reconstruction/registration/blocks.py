@@ -58,7 +58,7 @@ def find_blocks(footprints: np.ndarray) -> Blocks:
     outlines = [_outline(group) for group in members]
     of_outline = np.repeat(np.arange(count), [len(parts) for parts in outlines])
     polygons = polygon_arrays.to_polygons(np.concatenate([*outlines, np.zeros(0, object)]))
-    edge, of_polygon = _pieces(*edges_of(polygons))
+    edge, of_polygon = _pieces(polygons)
     of_edge = of_outline[of_polygon] if count else of_polygon
     return Blocks(count, of_footprint, polygons, of_outline, edge, of_edge)
 
@@ -94,13 +94,10 @@ def _outline(shapes: np.ndarray) -> np.ndarray:
     return np.asarray(shapely.orient_polygons(parts[~shapely.is_empty(parts)]))
 
 
-def edges_of(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
-    """The ends of all edges, (e, 4), and the polygon of each, int64 (e,)."""
-    of_polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
-    return np.column_stack([polygons.xy_m, polygons.xy_m[polygons.next_vertex]]), of_polygon
-
-
-def _pieces(edge: np.ndarray, of_edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pieces(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
+    """The ends of all edges, long ones in pieces, (e, 4), and the polygon of each, int64 (e,)."""
+    of_edge = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
+    edge = np.column_stack([polygons.xy_m, polygons.xy_m[polygons.next_vertex]])
     length = np.hypot(edge[:, 2] - edge[:, 0], edge[:, 3] - edge[:, 1])
     count = np.maximum(length // _PIECE_M, 1).astype(np.int64)
     row = np.repeat(np.arange(len(edge)), count)
