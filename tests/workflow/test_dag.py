@@ -204,6 +204,36 @@ def test_settings_of_roofer_change_the_command_of_its_baseline_only(fresh):
     assert [command[:4] == roofer for command in changed if command[:2] != ["eval", "report"]] == [True]
 
 
+def test_rules_get_the_settings_that_they_read(fresh):
+    limits = ["reconstruct={not_representable_m: 0.5}", "buildings={max_roof_height_m: 50}"]
+    by_name = {" ".join(words[:2]): words for words in commands_of(fresh.dry_run("--config", *limits))}
+    report, measure = (parsed(by_name[f"eval {name}"])["config"] for name in ("report", "measure"))
+    assert report.reconstruct.not_representable_m == 0.5
+    assert measure.buildings.max_roof_height_m == 50
+
+
+def test_the_filters_of_a_member_are_an_input(project):
+    own = project.folder / "own_filters.json"
+    own.write_text("[]")
+    prepare = {"prepare": {"pdal_stages": own.name}}
+    members = [{"name": "one", "fetch": prepare}, {"name": "two"}]
+    region = {"tiles": ["0652_6862"], "lidar_tiles": ["0653_6861"]}
+    dataset = {"name": "d", "members": [each | {"region": region} for each in members]}
+    run = project.dry_run("--config", f"dataset={json.dumps(dataset)}")
+    inputs = re.findall(r"^rule prepare_lidar:\n    input: (.*)$", output_of(run), re.M)
+    assert sorted(each.split(", ")[-1] for each in inputs) == ["config/pdal/prepare.json", own.name]
+
+
+def test_rules_that_fit_run_again_with_other_weights_between_few_points():
+    """They come with the package, and no code changes with them."""
+    rules = "".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk")).split("\nrule ")
+    code = {rule.split(":")[0]: re.findall(r"code=fingerprint\((.*)\)", rule) for rule in rules}
+    assert {name for name, stages in code.items() if '"weights"' in str(stages)} == {
+        "eval_reconstruct",
+        "reconstruct_tile",
+    }
+
+
 def test_every_value_in_a_shell_command_is_quoted():
     """A name of a file may hold a space, a quote or ``$(command)``; only numbers of the rule itself need no quoting."""
     texts = [file.read_text() for file in sorted((ROOT / "workflow/rules").glob("*.smk"))]

@@ -60,7 +60,7 @@ rule eval_reconstruct:
         runtime=lambda wildcards, attempt: 480 * attempt,
     params:
         config=method_section,
-        code=fingerprint("eval.methods", "nets.predictor"),
+        code=fingerprint("eval.methods", "nets.predictor", "weights"),
         state=roofer_state,
         model=lambda wildcards, input: ["--model", input.model] if input.model else [],
         medians=lambda wildcards, input: ["--medians", input.medians] if input.medians else [],
@@ -86,7 +86,7 @@ rule measure:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
         runtime=lambda wildcards, attempt: 240 * attempt,
     params:
-        config=section("eval", without=REPORT_ONLY + ROOFER_ONLY),
+        config=section("eval", "buildings", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.measure"),
     shell:
         "p2wss eval measure --manifest {input.manifest:q} --shards {input.shards:q} --reconstructions {input.reconstructions:q}"
@@ -132,7 +132,7 @@ rule eval_report:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
         runtime=lambda wildcards, attempt: 120 * attempt,
     params:
-        config=section("region", "dataset", "fetch", "eval", without=("shards_per_job",)),
+        config=section("region", "dataset", "fetch", "eval", "reconstruct", without=("shards_per_job",)),
         code=fingerprint("eval.report", "eval.templates", "formats.templates", "formats.assets"),
         folder=subpath(output.report, parent=True),
     shell:

@@ -97,7 +97,7 @@ rule fetch_lidar:
 rule prepare_lidar:
     input:
         clouds=delivered_around,
-        stages=local(settings.fetch.prepare.pdal_stages),
+        stages=lambda wildcards: local(at(wildcards.place).fetch.prepare.pdal_stages),
     output:
         lidar="<results>/fetch/lidar/{place}{tile}.laz",
     log:

@@ -30,7 +30,7 @@ rule reconstruct_tile:
         runtime=lambda wildcards, attempt: 240 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
-        code=fingerprint("reconstruction", "formats.templates", "formats.assets"),
+        code=fingerprint("reconstruction", "formats.templates", "formats.assets", "weights"),
         folder=subpath(output.summary, parent=True),
     shell:
         "p2wss reconstruct {input.clouds:q} {input.footprints:q} {params.folder:q}"

@@ -128,7 +128,7 @@ def eval_measure(
         for of_shard in test_cases(read_manifest(manifest, shards or None)):
             keys = [case.key for case in of_shard]
             for path in reconstructions:
-                rows = list(measure(of_shard, read_reconstructions(path, keys), config.eval))
+                rows = list(measure(of_shard, read_reconstructions(path, keys), config))
                 writer.append({name: [row[name] for row in rows] for name in MEASURES.names})
                 num_rows += len(rows)
         writer.metadata = _facts(config, methods={str(facts["method"]): facts for facts in of_methods})
@@ -171,5 +171,5 @@ def eval_report(manifest: Path, out: Path, config: Config, **inputs: tuple[Path,
 
 
 def _facts(config: Config, **facts: Any) -> dict[str, Any]:
-    settings = section_json(config, "eval", "reconstruct")
+    settings = section_json(config, "buildings", "eval", "reconstruct")
     return files.provenance(config=settings, code=fingerprint("eval"), **facts)

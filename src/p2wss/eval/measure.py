@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from p2wss import skeleton
-from p2wss.config import Buildings, Eval
+from p2wss.config import Config, Eval
 from p2wss.data.building import Reconstruction
 from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case
@@ -99,11 +99,12 @@ def target_height_m(case: Case) -> float:
 def measure(
     cases: Sequence[Case],
     reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
-    config: Eval,
+    config: Config,
 ) -> Iterator[dict[str, Any]]:
     """Rows of the schema ``MEASURES``, one per case and method, methods in the order given.
 
-    A method's mapping may lack a case on which the method was not run; there is no row for it.
+    A method's mapping may lack a case on which the method was not run; there is no row for it. config: of its section
+    buildings, the height at which true roofs are cut off.
     """
     for by_key in reconstructions.values():
         pairs = [(case, by_key[case.key]) for case in cases if case.key in by_key]
@@ -112,7 +113,7 @@ def measure(
             yield dict.fromkeys(MEASURES.names) | measures | errors
 
 
-def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -> dict[str, Any]:
+def measure_building(case: Case, reconstruction: Reconstruction, config: Config) -> dict[str, Any]:
     """The columns of the schema ``MEASURES`` other than errors of parameters; without a mesh, those of the building.
 
     Random draws depend on the seed, the building and the method alone.
@@ -138,23 +139,25 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
     # a flat roof instead of a mesh of the method says nothing of the building
     if reconstruction.angle_deg is not None and reconstruction.status == "ok":
         row["roof_kind"] = roof_kind(reconstruction.rings, reconstruction.angle_deg, reconstruction.num_parts)
-    draw = generator(config.seed, "eval.measure", building.tile, building.building_id, reconstruction.method)
+    draw = generator(
+        config.eval.seed, "eval.measure", building.tile, building.building_id, reconstruction.method
+    )
     vertex_m, triangle = mesh.vertex_m, mesh.triangle
     facts = mesh_facts(vertex_m, triangle)
     # in the frame of the mesh
     point_m = building.point_m + (building.position_m - reconstruction.position_m)
-    samples = sample_surface(vertex_m, triangle, config.num_samples, draw)
+    samples = sample_surface(vertex_m, triangle, config.eval.num_samples, draw)
     row |= {
         "num_parts": reconstruction.num_parts,
         "num_triangles": len(triangle),
         "watertight": facts.watertight,
         "manifold": facts.manifold,
         "planar": bool(out_of_plane_m(vertex_m, triangle, mesh.face).max() <= PLANAR_M),
-        "chamfer_m": chamfer_distance_m(subset(case, point_m, config), samples),
+        "chamfer_m": chamfer_distance_m(subset(case, point_m, config.eval), samples),
     }
     on_building = point_m[building.is_on_building]
     if len(on_building) >= MIN_ROOF_POINTS:
-        roof = sample_surface(vertex_m, triangle[np.isin(mesh.kind, _ROOF)], config.num_samples, draw)
+        roof = sample_surface(vertex_m, triangle[np.isin(mesh.kind, _ROOF)], config.eval.num_samples, draw)
         x, y, _ = building.point_m[building.is_on_building].T
         inner = on_building[shapely.contains_xy(building.polygon.buffer(-INNER_M), x, y)]
         row |= {
@@ -162,22 +165,22 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
             "points_to_mesh_m": float(distance_to_mesh(on_building, vertex_m, triangle).mean()),
             "height_rmse_m": height_rmse_m(inner, mesh.corner_m),
         }
-    true = true_mesh(case)
+    true = true_mesh(case, config.buildings.max_roof_height_m)
     if true is not None:
         true = true.translated(-reconstruction.position_m)
         row["false_edge_share"], row["missing_edge_share"] = false_and_missing_share(mesh, true)
     return row
 
 
-def true_mesh(case: Case) -> Mesh | None:
-    """The building of the labels, in the CRS; None without labels."""
+def true_mesh(case: Case, max_roof_height_m: float = np.inf) -> Mesh | None:
+    """The building of the labels, in the CRS, its roof cut off at ``max_roof_height_m`` above the eaves; None without
+    labels."""
     if case.angle_deg is None or case.eave_height_m is None or case.label_terrain_z_m is None:
         return None
     # from its own ground: that of the cloud may be above the eaves
     height_m = np.array([case.eave_height_m])
     polygons = Polygons.from_rings([list(case.building.rings)])
-    highest_m = Buildings().max_roof_height_m
-    built = skeleton.build(polygons, case.angle_deg, height_m, max_roof_height_m=highest_m)
+    built = skeleton.build(polygons, case.angle_deg, height_m, max_roof_height_m=max_roof_height_m)
     return Mesh.of_kernel(built, 0).translated(np.array([*case.building.origin_xy_m, case.label_terrain_z_m]))
 
 

@@ -137,8 +137,13 @@ def read(
     Raises :class:`InputError` if a file is missing or malformed.
     """
     content = files.read_json(manifest, dict[str, Any])
-    facts = files.read_metadata(measures[0])
-    methods: dict[str, dict[str, Any]] = facts["methods"]
+    of_parts = [files.read_metadata(path) for path in measures]
+    facts, methods = of_parts[0], dict[str, dict[str, Any]](of_parts[0]["methods"])
+    for each in of_parts[1:]:
+        # a method that has no output for one group of tiles may have some for another
+        methods |= {
+            name: of for name, of in each["methods"].items() if methods[name]["status"].startswith("not run")
+        }
     runs = [tables.Run(name, of["status"], str(of.get("note", ""))) for name, of in methods.items()]
     table = pa.concat_tables(files.read_table(path, MEASURES) for path in measures)
     ranked = tables.ranked(tables.frame_of(table, runs), runs)

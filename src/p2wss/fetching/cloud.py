@@ -12,11 +12,11 @@ import laspy
 import numpy as np
 import pyproj
 
+from p2wss.clouds.reading import read_headers
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import Bounds, are_near, grown
 from p2wss.storage import files, integrity
-from p2wss.storage.las_crs import crs_of
-from p2wss.storage.las_files import bounds_of, open_cloud
+from p2wss.storage.las_files import open_cloud
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
@@ -30,7 +30,7 @@ def read_header(path: Path) -> laspy.LasHeader:
 
 def check_cloud(path: Path, crs: str) -> None:
     """Raise :class:`InputError` if the file is truncated or states a CRS that differs from ``crs``."""
-    check_crs(crs_of(read_header(path)), crs, path)
+    check_crs(read_headers([path])[0].crs, crs, path)
 
 
 def write_cloud(
@@ -107,7 +107,7 @@ def _in(x: np.ndarray, y: np.ndarray, bounds: Bounds) -> np.ndarray:
 
 def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
-    stated = bounds_of(read_header(path))
+    stated = read_headers([path])[0].bounds
     if stated is None:
         return False
     low_x, low_y, high_x, high_y = grown(bounds, _EDGE_M)

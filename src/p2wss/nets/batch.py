@@ -50,6 +50,16 @@ class Batch:
     def __getitem__(self, rows: Tensor) -> Batch:
         return Batch(**{name: value[rows] for name, value in vars(self).items()})
 
+    def replaced_by(self, other: Batch, is_replaced: Tensor) -> Batch:
+        """The batch, of which some rows, bool (b,), are those of another one of the same sizes."""
+        pairs = zip(vars(self).items(), vars(other).values(), strict=True)
+        return Batch(
+            **{
+                name: torch.where(is_replaced.view(-1, *[1] * (own.ndim - 1)), new, own)
+                for (name, own), new in pairs
+            }
+        )
+
 
 def batch_patches(batch: Batch, config: Dvae) -> Patches:
     """Patches in network units of a centred batch in metres."""

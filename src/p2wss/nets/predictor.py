@@ -130,8 +130,7 @@ class Point2WssPredictor:
 
         def run(index: np.ndarray) -> tuple[np.ndarray, T] | None:
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
-            reach = batch.xy.norm(dim=-1).amax(1) * 10**self.tokenizer.coord_decimals
-            rows = np.flatnonzero(reach.numpy() < self.tokenizer.max_coord)
+            rows = np.flatnonzero(batch.xy.norm(dim=-1).amax(1).numpy() < self.tokenizer.reach_m)
             if not len(rows):
                 return None
             if self._rows_per_pass > 1 or len(rows) < len(index):
@@ -224,7 +223,9 @@ class Point2WssPredictor:
             tokens, _ = tokenizer.mask_targets(Quantised(zero[:, 0], xy, zero, batch.num_vertices))
         xy_m = (xy * 10.0**-tokenizer.coord_decimals).gather(1, back[..., None].expand(-1, -1, 2))
         if self.settings.num_refinements:
-            height_m, angle_deg = self._decode(replace(batch, xy=xy_m.float()))
+            # a rotated view must be representable, too
+            reach_m = xy_m.norm(dim=-1, keepdim=True).clamp(min=tokenizer.reach_m) / tokenizer.reach_m
+            height_m, angle_deg = self._decode(replace(batch, xy=(xy_m / reach_m).float()))
             return height_m, xy_m.cpu().numpy(), angle_deg
         heights, angle = self._distributions(
             logits[:, tokenizer.target_positions(batch.xy.shape[1]).to(self.device)]

@@ -74,6 +74,8 @@ class Tokenizer:
         )
         self.max_height = 10 ** len(self.height_places) - 1
         self.max_coord = 10 ** len(self.coord_places) - 1
+        # of a vertex, whatever the rotation
+        self.reach_m = self.max_coord * 10.0**-coord_decimals
 
         header = [(START, KIND_FRAME), (HEIGHT, KIND_TYPE)] + [(MASK, KIND_HEIGHT)] * len(self.height_places)
         axis = [(PLUS, KIND_SIGN)] + [(MASK, KIND_COORDINATE)] * len(self.coord_places)

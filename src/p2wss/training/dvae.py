@@ -84,9 +84,9 @@ class DvaeTask:
         with compute.autocast(config.compute, self.device):
             losses = self.module(patches, torch.full((), tau, device=self.device))
         weight = kl_weight(progress, config.kl_weight)
-        codes = losses.pop("codes").flatten()
         # on a GPU, bincount would wait for the codes
-        code_count = codes.new_zeros(config.num_tokens).index_add_(0, codes, torch.ones_like(codes))
+        codes, is_valid = losses.pop("codes").flatten(), patches.valid.flatten().long()
+        code_count = is_valid.new_zeros(config.num_tokens).index_add_(0, codes, is_valid)
         return {
             "loss": losses["coarse"] + losses["fine"] + weight * losses["kl"],
             **losses,

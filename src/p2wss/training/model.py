@@ -113,8 +113,10 @@ class ModelTask:
     def step(self, step: int, loaded: tuple[Batch, list[Group]]) -> dict[str, Tensor]:
         config, dvae_config = self.config, self.module.dvae_config
         batch, groups = loaded
-        batch = augment_batch(batch.to(self.device), config.augmentation, dvae_config.min_points)
         tokenizer = self.module.tokenizer
+        batch = augment_batch(
+            batch.to(self.device), config.augmentation, dvae_config.min_points, tokenizer.reach_m
+        )
         parameters, _ = tokenizer.canonical(
             tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
         )
@@ -178,8 +180,13 @@ def length_groups(num_vertices: np.ndarray, tokenizer: Tokenizer) -> list[Group]
     ]
 
 
-def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batch:
-    """The random augmentations of the config, and the paper's rotation; the result is centred."""
+def augment_batch(batch: Batch, settings: Augmentation, min_points: int, reach_m: float) -> Batch:
+    """The random augmentations of the config, and the paper's rotation; the result is centred.
+
+    A building that would have a vertex farther than ``reach_m`` from the centroid, as where the points that remain
+    are at one of its ends, is only rotated and jittered.
+    """
+    plain = centre(batch)
     if settings.keep_points != (1, 1):
         batch = augment.drop_points_randomly(batch, settings.keep_points, min_points)
     if settings.occlusion_share > 0:
@@ -188,5 +195,7 @@ def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batc
         batch = augment.lift_randomly(batch, settings.lift_m)
     if settings.scale != (1, 1):
         batch = augment.scale_randomly(batch, settings.scale)
-    batch = augment.rotate_randomly(centre(batch))
+    batch = centre(batch)
+    is_far = batch.xy.norm(dim=-1).amax(1) > reach_m
+    batch = augment.rotate_randomly(batch.replaced_by(plain, is_far))
     return augment.jitter(batch, settings.jitter_m) if settings.jitter_m > 0 else batch

@@ -110,7 +110,7 @@ def _read_shard(
     for name in ("x_cm", "y_cm", "z_cm"):
         values, offset = files.list_column(table, name)
         axes.append(values.astype(np.int16, copy=False))
-    count = np.diff(offset)
+    points_cm, count = np.stack(axes, -1), np.diff(offset)
     usable = select(table)
 
     def require(condition: np.ndarray, reason: str) -> None:
@@ -141,22 +141,22 @@ def _read_shard(
         require((height > 0) & (height < limits.max_length_m), reasons.HEIGHT_OUT_OF_RANGE)
         reach = np.zeros(len(table))
         for i in np.flatnonzero(usable):
-            cloud = slice(offset[i], offset[i + 1])
-            centroid = np.array([axes[0][cloud].mean(), axes[1][cloud].mean()]) * 0.01
             ring = xy[xy_offset[i] : xy_offset[i + 1]].reshape(-1, 2)
-            reach[i] = np.hypot(*(ring - centroid).T).max()
+            reach[i] = _reach_m(ring, points_cm[offset[i] : offset[i + 1]])
         require(reach < limits.max_length_m, reasons.FOOTPRINT_TOO_LARGE)
     rows = np.flatnonzero(usable)
-    points_cm, num_on_building = np.stack(axes, -1), np.zeros(len(table), np.int64)
+    num_on_building = np.zeros(len(table), np.int64)
     if labelled:
         classes, _ = files.list_column(table, "classification")
         for i in rows:
             cloud = slice(offset[i], offset[i + 1])
-            polygon = shapely.Polygon(xy[xy_offset[i] : xy_offset[i + 1]].reshape(-1, 2))
+            ring = xy[xy_offset[i] : xy_offset[i + 1]].reshape(-1, 2)
             above_m = 0.01 * points_cm[cloud] - [0.0, 0.0, ground[i]]
-            is_on = points_on_building(polygon, above_m, classes[cloud])
+            is_on = points_on_building(shapely.Polygon(ring), above_m, classes[cloud])
             points_cm[cloud] = points_cm[cloud][np.argsort(~is_on, kind="stable")]
-            num_on_building[i] = is_on.sum()
+            # alone, those at one end of a large building would put its other end too far away
+            if is_on.any() and _reach_m(ring, points_cm[cloud][: is_on.sum()]) < limits.max_length_m:
+                num_on_building[i] = is_on.sum()
     return BuildingDataset(
         points_cm=points_cm[np.repeat(usable, count)],
         point_offset=_offsets(count[rows]),
@@ -168,6 +168,11 @@ def _read_shard(
         num_on_building=num_on_building[rows],
         num_excluded={},
     )
+
+
+def _reach_m(ring_m: np.ndarray, point_cm: np.ndarray) -> float:
+    """How far the farthest vertex is from the centroid of points (n, 3)."""
+    return float(np.hypot(*(ring_m - 0.01 * point_cm[:, :2].mean(axis=0)).T).max())
 
 
 def _floats(table: Any, name: str) -> np.ndarray:

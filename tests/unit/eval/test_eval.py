@@ -47,7 +47,7 @@ TITLES = {"simulated": "Simulated", "real": "Real"}
 
 def measured(every: list[cases.Case], rows: dict, config: Eval = CONFIG) -> pa.Table:
     """The measures of reconstructions by method."""
-    return pa.Table.from_pylist(list(measure.measure(every, rows, config)), MEASURES)
+    return pa.Table.from_pylist(list(measure.measure(every, rows, Config(eval=config))), MEASURES)
 
 
 @pytest.fixture(scope="module")
@@ -412,6 +412,21 @@ def test_a_group_without_a_test_building_changes_nothing(hamlet: Path, tmp_path:
     assert {name: of["status"] for name, of in facts.items() if name != "roofer"} == dict.fromkeys(
         NAMES[:-1], "ok"
     )
+
+
+def test_a_method_that_ran_for_some_groups_was_run(hamlet: Path, whole: list[Path], tmp_path: Path) -> None:
+    """Recorded outputs may be of the tiles of any group of shards, not of the first."""
+    facts = files.read_metadata(whole[0] / "measures.parquet")
+    columns = files.read_table(whole[0] / "measures.parquet", MEASURES).to_pydict()
+    for name, status in (("first", "not run: no roofer"), ("second", "recorded")):
+        of_roofer = facts["methods"]["roofer"] | {"status": status}
+        metadata = facts | {"methods": facts["methods"] | {"roofer": of_roofer}}
+        rows = columns if name == "first" else {key: [] for key in columns}
+        files.write_table(tmp_path / f"{name}.parquet", rows, MEASURES, metadata)
+    paths = [tmp_path / "first.parquet", tmp_path / "second.parquet"]
+    for order in (paths, paths[::-1]):
+        runs = report.read(Config(), hamlet, order, [], []).runs
+        assert {run.method: run.status for run in runs}["roofer"] == "recorded"
 
 
 def test_a_shard_that_the_manifest_does_not_list_is_one_clear_line(hamlet: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from yard_house import yard_house
 
-from p2wss.config import Eval
+from p2wss.config import Config
 from p2wss.data.building import Building
 from p2wss.eval.cases import Case
 from p2wss.eval.measure import measure_building
@@ -31,7 +31,7 @@ def test_the_floor_of_a_yard_is_no_roof() -> None:
         classes,
         row.ground_z_m,
     )
-    measured = measure_building(Case(REAL, building, 1.0, None, None, None, None), row, Eval())
+    measured = measure_building(Case(REAL, building, 1.0, None, None, None, None), row, Config())
     assert measured["roof_chamfer_m"] == pytest.approx(0.1, abs=0.05)
     assert measured["chamfer_m"] > 1 and measured["points_to_mesh_m"] < 1e-6
 

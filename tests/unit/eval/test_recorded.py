@@ -59,7 +59,9 @@ def solids(delft: list[cases.Case]) -> list[Reconstruction]:
 
 @pytest.fixture(scope="module")
 def rows(delft: list[cases.Case], solids: list[Reconstruction]) -> list[dict]:
-    return [measure.measure_building(case, solid, Eval()) for case, solid in zip(delft, solids, strict=True)]
+    return [
+        measure.measure_building(case, solid, Config()) for case, solid in zip(delft, solids, strict=True)
+    ]
 
 
 @needs_data
@@ -143,7 +145,7 @@ def test_height_rmse_of_flat_roofs_on_delft(delft: list[cases.Case]) -> None:
     """The heights over a flat roof are differences from a single number."""
     few = delft[:8]
     for case, flat in zip(few, lod1([c.building for c in few], Reconstruct()), strict=True):
-        row = measure.measure_building(case, flat, Eval(num_samples=64))
+        row = measure.measure_building(case, flat, Config(eval=Eval(num_samples=64)))
         assert flat.eave_height_m is not None
         z = case.building.point_m[case.building.is_on_building][:, 2]
         above = z - flat.eave_height_m

@@ -14,7 +14,7 @@ from all_cases import all_test_cases, reconstructed
 from truth_network import TruthNetwork
 
 from p2wss import skeleton
-from p2wss.config import Config, Eval
+from p2wss.config import Config, Eval, load
 from p2wss.data.building import Building, Reconstruction
 from p2wss.eval import cases, measure, methods, tables
 from p2wss.eval.measure import roof_kind
@@ -44,7 +44,9 @@ def reconstructions(hamlet_cases: list[cases.Case]) -> dict[str, dict[Key, Recon
 
 @pytest.fixture(scope="module")
 def table(hamlet_cases: list[cases.Case], reconstructions: dict) -> pa.Table:
-    return pa.Table.from_pylist(list(measure.measure(hamlet_cases, reconstructions, CONFIG)), MEASURES)
+    return pa.Table.from_pylist(
+        list(measure.measure(hamlet_cases, reconstructions, Config(eval=CONFIG))), MEASURES
+    )
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +83,20 @@ def test_the_true_roof_does_not_depend_on_the_ground_of_the_cloud(hamlet_cases: 
     assert one is not None and other is not None and len(one.triangle) > 4
     assert np.array_equal(one.vertex_m, other.vertex_m)
     assert one.vertex_m[:, 2].min() == case.label_terrain_z_m
+
+
+def test_true_roofs_are_as_high_as_the_config_lets_them_be() -> None:
+    """A hip of 20 m, by ``buildings.max_roof_height_m`` not cut off at the default of 12 m."""
+    ring, angle_deg = np.array([[0.0, 0], [40, 0], [40, 40], [0, 40]]), np.full(4, 45.0)
+    point = np.random.default_rng(0).uniform([0, 0, 0], [40, 40, 20], (200, 3))
+    building = Building("a", "t", (0.0, 0.0), [ring], point, np.full(200, 6, np.uint8), 0.0)
+    case = cases.Case(SIMULATED, building, 1.0, "hip", 5.0, 0.0, angle_deg)
+    high = {"max_roof_height_m": 100}
+    config = load({"buildings": high, "reconstruct": high})
+    (whole,) = constant([building], np.array([5.0]), 45.0, config.reconstruct)
+    assert whole.mesh.vertex_m[:, 2].max() == pytest.approx(25)
+    row, cut = (measure.measure_building(case, whole, each) for each in (config, Config()))
+    assert row["false_edge_share"] == row["missing_edge_share"] == 0 < cut["missing_edge_share"]
 
 
 def test_only_real_buildings_are_of_planes() -> None:
@@ -214,15 +230,16 @@ def test_bent_faces_are_not_planar_and_densities_are_counted() -> None:
     building = Building("a", "t", (0.0, 0.0), [ring], point, np.full(400, 6, np.uint8), 0.0)
     (flat,) = constant([building], np.array([5.0]), 0.0, RECONSTRUCT)
     case = cases.Case(REAL, building, 1.0, None, None, None, None)
-    row = measure.measure_building(case, flat, CONFIG)
+    config = Config(eval=CONFIG)
+    row = measure.measure_building(case, flat, config)
     assert row["planar"] and row["roof_kind"] == "flat" and row["density_per_m2"] == pytest.approx(4)
     assert row["height_rmse_m"] == pytest.approx(0.8)
     top = np.flatnonzero(flat.mesh.vertex_m[:, 2] > 1)
     vertex = flat.mesh.vertex_m.copy()
     vertex[top[0], 2] += 0.05  # a corner: 12 mm out of the roof's plane
-    bent = measure.measure_building(case, replace(flat, mesh=flat.mesh.moved(vertex.copy())), CONFIG)
+    bent = measure.measure_building(case, replace(flat, mesh=flat.mesh.moved(vertex.copy())), config)
     assert bent["watertight"] and not bent["planar"]
     vertex[top[0], 2] -= 0.02
-    assert measure.measure_building(case, replace(flat, mesh=flat.mesh.moved(vertex.copy())), CONFIG)[
+    assert measure.measure_building(case, replace(flat, mesh=flat.mesh.moved(vertex.copy())), config)[
         "planar"
     ]

@@ -20,7 +20,7 @@ from drawn_towns.planes import mesh_of
 from matplotlib.image import imread
 
 import p2wss
-from p2wss.config import Eval, Reconstruct
+from p2wss.config import Config, Eval, Reconstruct
 from p2wss.eval import measure, tables
 from p2wss.eval.viewer import MAX_POINTS, choices, viewer
 from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, environment, scene_page
@@ -44,7 +44,9 @@ def view(hamlet: Path) -> dict[str, Any]:
         name: {case.key: row for case, row in zip(test_cases, rows, strict=True)}
         for name, rows in {"point2wss": ours, "lod1": lod1(buildings, config)}.items()
     }
-    table = pa.Table.from_pylist(list(measure.measure(test_cases, by_key, Eval(num_samples=64))), MEASURES)
+    table = pa.Table.from_pylist(
+        list(measure.measure(test_cases, by_key, Config(eval=Eval(num_samples=64)))), MEASURES
+    )
     runs = [tables.Run(name, "ok") for name in by_key]
     chosen = choices(tables.ranked(tables.frame_of(table, runs), runs), TITLES, 20)
     view = viewer(chosen, {case.key: case for case in test_cases}, by_key, NAMES, "point2wss")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -275,6 +276,17 @@ def test_a_single_laz_is_copied_unchanged(tmp_path: Path) -> None:
     assert integrity.is_intact(out) and not integrity.has_checksum(LIDAR)
 
 
+def test_a_single_laz_whose_header_states_wrong_bounds_is_cropped(tmp_path: Path) -> None:
+    x, y = 653000 + np.arange(2000.0), np.full(2000, 6860500.0)
+    path = tmp_path / "wrong.laz"
+    write_points(path, x, y)
+    content = bytearray(path.read_bytes())
+    content[179:211] = struct.pack("<4d", 653200, 653100, 6860600, 6860550)
+    path.write_bytes(content)
+    paths = source(lidar=path).lidar(TILE)
+    assert write_cloud(tmp_path / "out.laz", paths, TILE, "EPSG:2154") == 1000
+
+
 def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     x = 652000 + np.round(rng.uniform(-100, 200, 5000), 3)
@@ -285,10 +297,11 @@ def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     write_points(files / "a.las", x[west], y[west])
     write_points(files / "b.laz", x[~west], y[~west])
     write_points(files / "far.laz", x + 5000, y)
-    # a header that states no bounds
-    content = bytearray((files / "a.las").read_bytes())
-    content[179:211] = bytes(32)
-    (files / "a.las").write_bytes(content)
+    # headers that state no bounds, and others than those of the points
+    for name, stated in (("a.las", bytes(32)), ("b.laz", struct.pack("<4d", 7e5, 6.9e5, 7e6, 6.9e6))):
+        content = bytearray((files / name).read_bytes())
+        content[179:211] = stated
+        (files / name).write_bytes(content)
     bounds = (652000.0, 6861000.0, 652100.0, 6861100.0)
     paths = source(lidar=files).lidar(bounds)
     assert [path.name for path in paths] == ["a.las", "b.laz"]

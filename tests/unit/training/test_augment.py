@@ -9,8 +9,10 @@ import pytest
 import torch
 from nets.test_tokenizer import buildings
 
+from p2wss.config import Augmentation
 from p2wss.nets.batch import Batch, centre
 from p2wss.training import augment
+from p2wss.training.model import augment_batch
 
 
 def batch(seed: int = 0) -> Batch:
@@ -116,3 +118,32 @@ def test_dropped_points_leave_a_share_but_never_too_few() -> None:
     assert not (after.valid & ~before.valid).any()
     assert augment.drop_points_randomly(before, (0.0, 0.1), 20).valid.sum(1).tolist() == [20] * 6
     assert augment.drop_points_randomly(before, (0.0, 0.1), 99).valid.sum(1).tolist() == [50] * 6
+
+
+def test_no_augmentation_takes_a_vertex_out_of_reach() -> None:
+    """Where a shadow or thinning leaves the points at one end of a long building, its other end would be too far."""
+    torch.manual_seed(0)
+    num, half = 256, torch.tensor([65.0, 7.0])
+    flat = (2 * torch.rand(num, 300, 2) - 1) * half
+    ring = (torch.tensor([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) * half).expand(num, 4, 2)
+    long = Batch(
+        points=torch.cat([flat, 8 * torch.rand(num, 300, 1)], -1),
+        valid=torch.ones(num, 300, dtype=torch.bool),
+        ground_z=torch.zeros(num),
+        height=torch.full((num,), 8.0),
+        xy=ring,
+        angle=torch.zeros(num, 4),
+        num_vertices=torch.full((num,), 4),
+    )
+    settings = Augmentation(occlusion_share=1, keep_points=(0.1, 1), jitter_m=0)
+
+    def augmented(reach_m: float) -> Batch:
+        torch.manual_seed(1)
+        return augment_batch(long, settings, 30, reach_m)
+
+    far, near = augmented(1e9), augmented(99.9)
+    assert far.xy.norm(dim=-1).max() > 110
+    assert near.xy.norm(dim=-1).max() < 99.9
+    is_far = far.xy.norm(dim=-1).amax(1) > 99.9
+    assert 0 < is_far.sum() < num / 4
+    assert near.valid[is_far].all() and torch.equal(near.valid[~is_far], far.valid[~is_far])

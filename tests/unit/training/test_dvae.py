@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,13 @@ from small_networks import SMALL_DVAE
 
 from p2wss import cli
 from p2wss.config import load
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.patches import Patches
 from p2wss.nets.weights import load_dvae
 from p2wss.storage.errors import InputError
 from p2wss.training import dvae
+from p2wss.training.dataset import TrainingLimits
+from p2wss.training.shards import load_dataset
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +59,19 @@ def test_a_collapsed_codebook_is_refused(
     monkeypatch.setattr(dvae, "MIN_CODE_USAGE", 1.1)
     with pytest.raises(InputError, match=r"codebook collapsed: .* of 16 codes in use"):
         dvae.train(manifest, load({"dvae": SMALL_DVAE}).dvae, tmp_path, "x")
+
+
+def test_surplus_patches_do_not_count_for_the_perplexity(manifest: Path) -> None:
+    """A cloud of three points has three patches of its own; the others repeat them."""
+    config = load({"dvae": SMALL_DVAE}).dvae
+    buildings = load_dataset(manifest, ["train"], TrainingLimits(64, 0, 0), labelled=False)
+    task = dvae.DvaeTask(DiscreteVae(config), buildings, buildings)
+
+    def coded(patches: Patches, _temperature: torch.Tensor) -> dict[str, torch.Tensor]:
+        losses = {name: torch.zeros(()) for name in ("coarse", "fine", "kl")}
+        return losses | {"codes": (~patches.valid).long()}
+
+    task.module.forward = coded  # type: ignore[assignment]
+    batch = task.load(0)
+    few = replace(batch, valid=batch.valid & (torch.arange(batch.valid.shape[1]) < 3))
+    assert [float(task.step(0, each)["perplexity"]) for each in (batch, few)] == [1, 1]

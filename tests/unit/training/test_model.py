@@ -270,6 +270,22 @@ def test_footprints_predicted_from_masked_digits_keep_frame_and_order(
         assert np.abs(place + shift - other).mean() < 1
 
 
+def test_every_view_of_a_predicted_footprint_is_representable(
+    predictor: Point2WssPredictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Corners at 99.9 m in x and in y: an eighth of a turn later, x would be 141 m."""
+    clouds, rings = inputs(labelled)
+    other = Point2WssPredictor(predictor.module, num_views=8)
+    most = predictor.tokenizer.max_coord
+
+    def farthest(_self: object, blocks: torch.Tensor, _logits: torch.Tensor) -> torch.Tensor:
+        return torch.full((*blocks.shape[:2], 2), most)
+
+    monkeypatch.setattr(Point2WssPredictor, "_coordinates", farthest)
+    height, xy, _ = other.reconstruct_all_masked(clouds[:1], [rings[0][0]])
+    assert np.isfinite(height).all() and xy[0].max() > 90
+
+
 def test_a_predicted_footprint_is_given_to_the_network_again(
     predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
