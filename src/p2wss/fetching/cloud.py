@@ -11,6 +11,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pyproj
+import shapely
 
 from p2wss.clouds.reading import read_headers
 from p2wss.data.crs import check_crs
@@ -107,12 +108,12 @@ def _in(x: np.ndarray, y: np.ndarray, bounds: Bounds) -> np.ndarray:
 
 def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
-    stated = read_headers([path])[0].bounds
-    if stated is None:
-        return False
-    low_x, low_y, high_x, high_y = grown(bounds, _EDGE_M)
-    inside = stated[0] >= low_x and stated[1] >= low_y and stated[2] <= high_x and stated[3] <= high_y
-    return inside and not any(are_near(stated, hole, -_EDGE_M) for hole in holes)
+    stated, limits = read_headers([path])[0].bounds, shapely.box(*grown(bounds, _EDGE_M))
+    return (
+        stated is not None
+        and limits.covers(shapely.box(*stated))
+        and not any(are_near(stated, hole, -_EDGE_M) for hole in holes)
+    )
 
 
 def link_or_copy(source: Path, target: Path) -> None:

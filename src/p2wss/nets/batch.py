@@ -52,11 +52,10 @@ class Batch:
 
     def replaced_by(self, other: Batch, is_replaced: Tensor) -> Batch:
         """The batch, of which some rows, bool (b,), are those of another one of the same sizes."""
-        pairs = zip(vars(self).items(), vars(other).values(), strict=True)
         return Batch(
             **{
-                name: torch.where(is_replaced.view(-1, *[1] * (own.ndim - 1)), new, own)
-                for (name, own), new in pairs
+                name: torch.where(is_replaced.view(-1, *[1] * (own.ndim - 1)), getattr(other, name), own)
+                for name, own in vars(self).items()
             }
         )
 

@@ -59,16 +59,10 @@ class Features(NamedTuple):
 def features_of(clues: Clues, xp: Any = np) -> Features:
     """The features of clues, as arrays, or as tensors if the clues are tensors and ``xp`` is torch."""
     num = len(clues.ring)
-    if getattr(clues.ring, "is_cuda", False) or num <= _AT_ONCE:
-        return _features_at_once(clues, xp)
-    for first in range(0, num, _AT_ONCE):
-        rows = slice(first, first + _AT_ONCE)
-        part = _features_at_once(Clues(*(each[rows] for each in clues)), xp)
-        if first == 0:
-            whole = Features(*(xp.empty((num, *each.shape[1:]), dtype=each.dtype) for each in part))
-        for target, each in zip(whole, part, strict=True):
-            target[rows] = each
-    return whole
+    size = num if getattr(clues.ring, "is_cuda", False) else _AT_ONCE
+    rows = [slice(first, first + size) for first in range(0, num, size)]
+    parts = [_features_at_once(Clues(*(each[part] for each in clues)), xp) for part in rows]
+    return Features(*map(xp.concatenate, zip(*parts, strict=True)))
 
 
 def _features_at_once(clues: Clues, xp: Any) -> Features:

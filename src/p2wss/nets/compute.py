@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import cache
 from types import MethodType
-from typing import ParamSpec, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -16,8 +16,6 @@ from p2wss.config import Compute, DeviceName
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
 
-P = ParamSpec("P")
-T = TypeVar("T")
 # of torch.compile
 COMPILER = "inductor"
 
@@ -43,7 +41,7 @@ def staged(tensor: Tensor, device: torch.device) -> Tensor:
 
 
 @cache
-def compiled(function: Callable[P, T]) -> Callable[P, T]:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function, compiled when it is called: many small operations become few. It is traced as a whole."""
     return torch.compile(function, dynamic=True, fullgraph=True, backend=COMPILER)
 

@@ -16,9 +16,6 @@ from torch.nn import functional as F
 from p2wss.config.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.nets.tokenizer import Tokenizer
 
-Mode = Literal["argmax", "median"]
-Support = Literal["roofs", "all"]
-
 
 def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int, ...]) -> Tensor:
     """(..., 10^k) probabilities of the integers 0 .. 10^k - 1 from logits (..., k, vocabulary) of k digits.
@@ -32,7 +29,7 @@ def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int,
     return joint
 
 
-def angle_support(support: Support) -> Tensor:
+def angle_support(support: Literal["roofs", "all"]) -> Tensor:
     """bool (100,): the angles in degrees that may be predicted; "roofs" is the paper's 0, 90 and 20 to 45."""
     allowed = torch.zeros(100, dtype=torch.bool)
     if support == "all":
@@ -49,7 +46,7 @@ def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
     return torch.where(total > 0, masked / total.clamp_min(1e-30), allowed / allowed.sum())
 
 
-def decode(distribution: Tensor, mode: Mode) -> Tensor:
+def decode(distribution: Tensor, mode: Literal["argmax", "median"]) -> Tensor:
     """int64 (...): the most probable value ("argmax"), or the smallest with half of the mass at or below it."""
     if mode == "argmax":
         return distribution.argmax(-1)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -26,9 +25,8 @@ from p2wss.nets.weights import load_model
 GPU_ROWS = 256
 # numbers of vertices that rings are padded to on a GPU, where many buildings are predicted at once
 _VERTEX_STEP = 8
-
-S = TypeVar("S")
-T = TypeVar("T")
+# the indices of the buildings of a pass, and arrays with a row for each
+_Pass = tuple[np.ndarray, tuple[np.ndarray, ...]]
 
 
 def load_predictor(path: Path, device: DeviceName = "auto") -> Point2WssPredictor:
@@ -123,12 +121,12 @@ class Point2WssPredictor:
         self,
         points_m: Sequence[np.ndarray],
         exterior: Sequence[np.ndarray],
-        decode: Callable[[Batch], T],
-    ) -> Iterator[tuple[np.ndarray, T]]:
+        decode: Callable[[Batch], tuple[np.ndarray, ...]],
+    ) -> Iterator[_Pass]:
         """The indices of each pass, which are the first rows of its centred batch, and what ``decode`` returns for it;
         without the buildings that the number format cannot represent."""
 
-        def run(index: np.ndarray) -> tuple[np.ndarray, T] | None:
+        def run(index: np.ndarray) -> _Pass | None:
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
             rows = np.flatnonzero(batch.xy.norm(dim=-1).amax(1).numpy() < self.tokenizer.reach_m)
             if not len(rows):
@@ -200,9 +198,8 @@ class Point2WssPredictor:
         angles = angles.unflatten(0, (self.num_views, -1)).mean(0)
         angles = decoding.constrain(angles, self._angle_support())
         height, angle = decoding.decode(heights, mode), decoding.decode(angles, mode)
-        unit = 10.0 ** tokenizer.height_places[-1]
         return (
-            (height * unit).cpu().numpy(),
+            (height * 10.0 ** tokenizer.height_places[-1]).cpu().numpy(),
             angle.double().cpu().numpy(),
         )
 
@@ -215,8 +212,7 @@ class Point2WssPredictor:
         masked = (kind == KIND_COORDINATE) | ((kind == KIND_SIGN) & (not signs_visible))
         tokens = tokens.masked_fill(masked, MASK)
         patches = batch_patches(batch, self.dvae_config)
-        num_passes = max(self.settings.num_refinements, 1)
-        for _ in range(num_passes):
+        for _ in range(max(self.settings.num_refinements, 1)):
             logits = self.module.restore(tokens, batch.num_vertices, patches, batch.ground_z * NETWORK_SCALE)
             xy = self._coordinates(tokenizer.blocks(tokens), tokenizer.blocks(logits))
             zero = torch.zeros_like(xy[..., 0])
@@ -301,7 +297,9 @@ def _views(batch: Batch, patches: Patches, num_views: int) -> tuple[Batch, Patch
     )
 
 
-def _map_on_single_threads(function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+def _map_on_single_threads(
+    function: Callable[[np.ndarray], _Pass | None], items: Iterable[np.ndarray]
+) -> Iterator[_Pass | None]:
     """``function`` of each item, in order, by as many workers as torch has threads, each with one thread of torch."""
     num_threads = torch.get_num_threads()
     try:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import islice
+from concurrent.futures import ThreadPoolExecutor
+from threading import local
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -62,39 +61,31 @@ def cast(
     caster = Caster(surface)
     counts = np.zeros(len(OUTCOMES), np.int64)
     chunks = list(_chunks(strips, box, chunk_pulses))
-    pending = iter(chunks)
     # fresh memory costs a fifth of the cast: each thread keeps its own, and the points are written into
     # arrays with room for all pulses, whose unused ends are never touched
     points, num_points = empty_points(sum(len(blocks) for _, blocks in chunks) * BLOCK_PULSES), 0
-    workspaces = [_Workspace(max(BLOCK_PULSES, chunk_pulses)) for _ in range(threads)]
-    with ThreadPoolExecutor(threads) as pool:
-        running: deque[tuple[_Workspace, Future[tuple[int, np.ndarray]]]] = deque()
+    of_thread = local()
 
-        def start_next(workspace: _Workspace) -> None:
-            """Cast the next chunk, if there is one."""
-            for strip, blocks in islice(pending, 1):
-                future = pool.submit(_cast_chunk, caster, strip, blocks, box, workspace)
-                running.append((workspace, future))
+    def allocate() -> None:
+        room = max(BLOCK_PULSES, chunk_pulses)
+        of_thread.workspace = empty_rays(room), empty_hits(room), empty_points(room)
 
-        for workspace in workspaces:
-            start_next(workspace)
-        while running:  # the oldest first, in the order of firing
-            workspace, future = running.popleft()
-            num_new, outcome = future.result()
-            for column, new in zip(points, workspace.points, strict=True):
-                column[num_points : num_points + num_new] = new[:num_new]
-            num_points += num_new
+    def cast_chunk(chunk: tuple[Strip, np.ndarray]) -> tuple[Points, np.ndarray]:
+        (strip, blocks), (rays, hits, found) = chunk, of_thread.workspace
+        n = generate(strip.path, blocks, box, rays)
+        rays, hits = Rays(*(column[:n] for column in rays)), Hits(*(column[:n] for column in hits))
+        caster.first_hits(rays.origin, rays.direction, hits)
+        n, outcome = record(rays, hits, surface, strip.path, strip.errors, box, found)
+        return Points(*(column[:n].copy() for column in found)), outcome
+
+    with ThreadPoolExecutor(threads, initializer=allocate) as pool:
+        for new, outcome in pool.map(cast_chunk, chunks):  # in the order of firing
+            for column, values in zip(points, new, strict=True):
+                column[num_points : num_points + len(values)] = values
+            num_points += len(new.pulse)
             counts += outcome
-            start_next(workspace)
     by_outcome = {name: int(count) for name, count in zip(OUTCOMES, counts, strict=True)}
     return Points(*(column[:num_points] for column in points)), {"cast": int(counts.sum()), **by_outcome}
-
-
-class _Workspace:
-    """Arrays for the rays, hits and points of one chunk of at most ``room`` pulses."""
-
-    def __init__(self, room: int):
-        self.rays, self.hits, self.points = empty_rays(room), empty_hits(room), empty_points(room)
 
 
 def _chunks(strips: list[Strip], box: Box, chunk_pulses: int) -> Iterator[tuple[Strip, np.ndarray]]:
@@ -104,14 +95,3 @@ def _chunks(strips: list[Strip], box: Box, chunk_pulses: int) -> Iterator[tuple[
         blocks = blocks_over(strip.path, strip.path.num_blocks, box)
         for start in range(0, len(blocks), step):
             yield strip, blocks[start : start + step]
-
-
-def _cast_chunk(
-    caster: Caster, strip: Strip, blocks: np.ndarray, box: Box, workspace: _Workspace
-) -> tuple[int, np.ndarray]:
-    """Write the points of some blocks into ``workspace``; returns their number and the pulses by outcome."""
-    n = generate(strip.path, blocks, box, workspace.rays)
-    rays = Rays(*(column[:n] for column in workspace.rays))
-    hits = Hits(*(column[:n] for column in workspace.hits))
-    caster.first_hits(rays.origin, rays.direction, hits)
-    return record(rays, hits, caster.surface, strip.path, strip.errors, box, workspace.points)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.scans.surface import Surface
-from p2wss.scans.terrain import Ray, crossing, frame_of
+from p2wss.scans.terrain import Ray, crossing
 from p2wss.skeleton.compiled import entry, inlined
 
 _ON_TRIANGLE_M = 0.005
@@ -47,13 +47,13 @@ def locate(
     embree_triangle: int32 (n,), -1 where the ray meets no triangle.
     """
     grid, vertex, triangles = surface.terrain, surface.vertex_m, surface.triangle
-    frame, height, blocks, regions = frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m
+    height, highest = grid.height_m, grid.highest_m
     hit_triangle, hit_m, hit_normal, hit_height = hits
     for k in range(len(embree_triangle)):
         ray = ray_of(origin, direction, k)
         triangle = embree_triangle[k]
         t, nx, ny, nz, offset = _on_triangle(vertex, triangles, triangle, ray)
-        ground_t, east, north = crossing(frame, height, blocks, regions, ray, t if t >= 0 else np.inf)
+        ground_t, east, north = crossing(grid, height, highest, ray, t if t >= 0 else np.inf)
         if t < 0:
             triangle = -1
         if ground_t >= 0:

@@ -21,15 +21,12 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31 = np.uint64(30), np.uint64(27), np.uint64(31)
-_ONE = np.uint64(1)
-_LOW_12 = np.uint64(0xFFF)
-_S11 = np.uint64(11)
 
 
 @inlined
 def random_bits(key: np.uint64, counter: np.uint64) -> np.uint64:
     """64 random bits: draw number ``counter`` of the stream ``key``."""
-    z = key + (counter + _ONE) * _GOLDEN
+    z = key + (counter + np.uint64(1)) * _GOLDEN
     z = (z ^ (z >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
     return z ^ (z >> _S31)
@@ -42,13 +39,13 @@ def normal(bits: np.uint64, which: int, quantile: np.ndarray) -> float:
     ``quantile`` is :data:`NORMAL_QUANTILE`, an argument because numba would copy a global table into the
     code.
     """
-    return np.float64(quantile[np.int64((bits >> np.uint64(16 * which)) & _LOW_12)])
+    return np.float64(quantile[np.int64((bits >> np.uint64(16 * which)) & np.uint64(0xFFF))])
 
 
 @inlined
 def uniform(bits: np.uint64) -> float:
     """Uniform deviate in [0, 1) from the upper 53 of ``bits``."""
-    return np.float64(bits >> _S11) * 1.1102230246251565e-16
+    return np.float64(bits >> np.uint64(11)) * 1.1102230246251565e-16
 
 
 @entry

@@ -38,19 +38,16 @@ _WRITTEN_AT_ONCE = 1_000_000
 def build_surface(buildings: pa.Table, terrain: Terrain, origin_m: np.ndarray, settings: Scans) -> Surface:
     """The terrain and every building that has a mesh, relative to ``origin_m`` (3,).
 
-    The ground faces of the meshes are omitted, because no pulse can reach them. Raises :class:`InputError`
-    if the columns of the triangles differ in length.
+    The ground faces of the meshes are omitted, because no pulse can reach them.
     """
     flat_vertices, vertex_offset = files.list_column(buildings, "vertex_xyz_m")
     flat_triangles, triangle_offset = files.list_column(buildings, "triangle")
-    kind, kind_offset = files.list_column(buildings, "triangle_kind")
+    kind, _ = files.list_column(buildings, "triangle_kind")
     edge, _ = files.list_column(buildings, "triangle_edge")
     frame = np.stack(
         [buildings[name].to_numpy() for name in ("origin_x_m", "origin_y_m", "terrain_z_m")], axis=1
     )
     num_vertices, num_triangles = np.diff(vertex_offset) // 3, np.diff(triangle_offset) // 3
-    if not np.array_equal(np.diff(kind_offset), num_triangles):
-        raise InputError("buildings: triangle and triangle_kind differ in length; rerun the buildings stage")
     vertices = flat_vertices.reshape(-1, 3) + np.repeat(frame - origin_m, num_vertices, axis=0)
     building = np.repeat(np.arange(len(frame)), num_triangles)
     triangles = flat_triangles.reshape(-1, 3) + (vertex_offset[building] // 3)[:, None]

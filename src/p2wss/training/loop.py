@@ -26,7 +26,7 @@ from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
-from p2wss.training.state import TrainingState, num_steady_steps
+from p2wss.training.state import TrainingState, learning_rate, num_steady_steps
 
 METRICS_EVERY_STEPS = 20
 # the process of the Snakemake that started this one, see workflow/rules/common.smk
@@ -81,10 +81,11 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
     ):
         loading = loader.submit(task.load, start)
         for step in range(start, num_steps):
-            rate, loaded = state.learning_rate, loading.result()
+            rate, loaded = learning_rate(step, plan.optimiser), loading.result()
             if step + 1 < num_steps:
                 loading = loader.submit(task.load, step + 1)
-            losses = _take_step(task, state, plan, step, loaded)
+            losses = _gradients(task, plan, step, loaded)
+            state.step(rate)
             done = step + 1
             ends = num_steps, num_steady_steps(plan.optimiser)
             checkpoint_due = done % plan.checkpoint_every_steps == 0 or done in ends
@@ -97,7 +98,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
                 state.metrics.append({"step": done, "learning_rate": rate, **averages})
                 progress.update(done, f"loss {averages['loss']:.4f}")
             if checkpoint_due:
-                state.metrics.append({"step": done, **_validate(task, state, plan, done)})
+                state.metrics.append({"step": done, **_validate(task, plan, done)})
             stopping = done < num_steps and _any_process_stops(is_stop_requested(), done)
             if checkpoint_due or stopping:
                 state.save(checkpoints, done, identity)
@@ -120,22 +121,21 @@ def training_config(config: Section) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude=exclude)
 
 
-def _take_step(task: Task, state: TrainingState, plan: Plan, step: int, loaded: Any) -> dict[str, Tensor]:
-    """One step of the optimiser. Returns the losses, which are numbers."""
+def _gradients(task: Task, plan: Plan, step: int, loaded: Any) -> dict[str, Tensor]:
+    """The gradients of a step. Returns the losses, which are numbers."""
     # processes must not draw the same noise for different rows
     names = [distributed.rank()] if distributed.num_processes() > 1 else []
     torch.manual_seed(derive_seed(plan.seed, "step", step, *names))
     task.module.train()
     losses = task.step(step, loaded)
-    state.optimiser.zero_grad(set_to_none=True)
+    task.module.zero_grad()
     losses["loss"].backward()
     distributed.average_gradients(task.module)
     nn.utils.clip_grad_norm_(task.module.parameters(), plan.optimiser.gradient_clip)
-    state.step()
     return {name: value.detach() for name, value in losses.items() if value.ndim == 0}
 
 
-def _validate(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[str, float]:
+def _validate(task: Task, plan: Plan, step: int) -> dict[str, float]:
     torch.manual_seed(derive_seed(plan.seed, "validate", step))
     module = task.module
     module.eval()

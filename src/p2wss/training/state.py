@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 from torch import nn
-from torch.optim.lr_scheduler import LambdaLR
 
 from p2wss.config import Optimiser
 from p2wss.nets import distributed
@@ -22,38 +21,37 @@ MAX_CHECKPOINTS = 2
 
 
 class TrainingState:
-    """A network, its optimiser, its learning rate's schedule, and the metrics of the steps so far."""
+    """A network, its optimiser, and the metrics of the steps so far."""
 
     def __init__(self, module: nn.Module, settings: Optimiser) -> None:
         self.module = module
         self.settings = settings
         self.optimiser = torch.optim.AdamW(
             _parameter_groups(module, settings.weight_decay),
-            lr=1.0,  # the schedule's factor is the rate itself
             betas=(0.9, settings.beta2),
             **({"fused": True} if next(module.parameters()).is_cuda else {"foreach": True}),
         )
-        self.schedule = LambdaLR(self.optimiser, lambda step: learning_rate(step, settings))
         self.metrics: list[dict[str, Any]] = []
 
-    @property
-    def learning_rate(self) -> float:
-        """The rate of the next step."""
-        return float(self.schedule.get_last_lr()[0])
-
-    def step(self) -> None:
-        """Apply the gradients and move the schedule on."""
+    def step(self, rate: float) -> None:
+        """Apply the gradients with this learning rate."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
         self.optimiser.step()
-        self.schedule.step()
 
     def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
         """Write the metrics and a checkpoint after ``step`` steps, and remove old ones; the main process does."""
         if distributed.rank():
             return
         files.write_text(folder / METRICS_NAME, "".join(json.dumps(line) + "\n" for line in self.metrics))
-        checkpoint = {name: part.state_dict() for name, part in self._parts().items()}
-        checkpoint |= {"step": step, "identity": _text(identity), "metrics": self.metrics}
-        checkpoint |= {"length": _length(self.settings)}
+        checkpoint = {
+            "module": self.module.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "step": step,
+            "identity": _text(identity),
+            "metrics": self.metrics,
+            "length": _length(self.settings),
+        }
         # through memory, because torch reports a full disk as some RuntimeError
         buffer = BytesIO()
         torch.save(checkpoint, buffer)
@@ -87,8 +85,8 @@ class TrainingState:
             if old != new and step > min(old["num_steady_steps"], new["num_steady_steps"]):
                 log.warning("%s: made for %d steps; trying the previous one", path, old["num_steps"])
                 continue
-            for name, part in self._parts().items():
-                part.load_state_dict(checkpoint[name])
+            self.module.load_state_dict(checkpoint["module"])
+            self.optimiser.load_state_dict(checkpoint["optimiser"])
             self.metrics = checkpoint["metrics"]
             log.info("resuming at step %d", step)
             return step
@@ -97,9 +95,6 @@ class TrainingState:
             for path in _checkpoints(folder).values():
                 path.unlink()
         return 0
-
-    def _parts(self) -> dict[str, Any]:
-        return {"module": self.module, "optimiser": self.optimiser, "schedule": self.schedule}
 
 
 def num_steady_steps(settings: Optimiser) -> int:

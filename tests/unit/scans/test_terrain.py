@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from p2wss.scans.terrain import Ray, crossing, frame_of, local_grid
+from p2wss.scans.terrain import Ray, crossing, local_grid
 
 
 def first_crossing(grid, ray, limit):
-    return crossing(frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m, ray, limit)
+    return crossing(grid, grid.height_m, grid.highest_m, ray, limit)
 
 
 def triangles_of(grid):

@@ -57,8 +57,10 @@ def rectangles(middle: np.ndarray, along: np.ndarray, half_m: np.ndarray) -> np.
 
 
 def edges(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n, 2) and end (n, 2) of every edge, aligned with the vertices."""
-    return polygons.xy_m, polygons.xy_m[polygons.next_vertex]
+    """Length (n,) and unit direction (n, 2) of every edge, aligned with the vertices where they start."""
+    vector_m = polygons.xy_m[polygons.next_vertex] - polygons.xy_m
+    length = np.linalg.norm(vector_m, axis=1)
+    return length, vector_m / np.maximum(length, 1e-9)[:, None]
 
 
 def draw_edges(
@@ -66,14 +68,12 @@ def draw_edges(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A random edge of each of ``rows``, longer ones with more probability: number, length in metres,
     outward unit normal (k, 2)."""
-    start, end = edges(buildings.polygons)
-    length = np.linalg.norm(end - start, axis=1)
+    length, along = edges(buildings.polygons)
     before = np.concatenate([[0.0], np.cumsum(length)])
     offset = buildings.polygons.vertex_offset
     target = before[offset[rows]] + u * (before[offset[rows + 1]] - before[offset[rows]])
     edge = np.clip(np.searchsorted(before, target, side="right") - 1, offset[rows], offset[rows + 1] - 1)
-    along = (end - start)[edge] / np.maximum(length[edge], 1e-9)[:, None]
-    return edge, length[edge], -left_of(along)
+    return edge, length[edge], -left_of(along[edge])
 
 
 # a block without its floor: corners 0 to 3 are the bottom, 4 to 7 the top

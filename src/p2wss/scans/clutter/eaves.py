@@ -33,8 +33,7 @@ def set_walls_back(
     rows, u = draw_buildings(buildings, _STREAM, share)
     distance = np.zeros(len(buildings.key))
     distance[rows] = between(u[:, 0], *overhang_m)
-    start, _ = edges(buildings.polygons)
-    following = buildings.polygons.next_vertex
+    start, following = buildings.polygons.xy_m, buildings.polygons.next_vertex
     num_edges = np.diff(buildings.polygons.vertex_offset)
     new_start, is_moved = _offset_corners(buildings, distance)
     moved = np.flatnonzero(is_moved)
@@ -43,7 +42,7 @@ def set_walls_back(
     walls = np.flatnonzero((kind == FaceKind.WALL) & np.isin(surface.building, moved) & (edge >= 0))
     walls = walls[edge[walls] < num_edges[surface.building[walls]]]
     number = buildings.polygons.vertex_offset[surface.building[walls]] + edge[walls]
-    length, along = _lengths_and_directions(buildings)
+    length, along = edges(buildings.polygons)
     corners = surface.vertex_m[surface.triangle[walls]]
     away = corners[..., :2] - start[number][:, None]
     from_line = np.abs((away * left_of(along)[number][:, None]).sum(axis=2)).max(axis=1, initial=0)
@@ -61,12 +60,11 @@ def set_walls_back(
 def _offset_corners(buildings: LocalBuildings, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Start of every edge after its building's walls have moved inwards by ``distance`` (n,), and which
     buildings have moved, bool (n,)."""
-    start, end = edges(buildings.polygons)
-    following = buildings.polygons.next_vertex
+    start, following = buildings.polygons.xy_m, buildings.polygons.next_vertex
     num_edges = np.diff(buildings.polygons.vertex_offset)
     building = np.repeat(np.arange(len(num_edges)), num_edges)
-    length, along = _lengths_and_directions(buildings)
-    by = np.where(_is_free(buildings, start, end, building), distance[building], 0.0)
+    length, along = edges(buildings.polygons)
+    by = np.where(_is_free(buildings, start, start[following], building), distance[building], 0.0)
 
     before = np.empty(len(start), np.int64)  # the edge that ends where this one starts
     before[following] = np.arange(len(start))
@@ -88,13 +86,6 @@ def _offset_corners(buildings: LocalBuildings, distance: np.ndarray) -> tuple[np
     is_moved = (distance > 0) & ~is_narrow
     new_start[~is_moved[building]] = start[~is_moved[building]]
     return new_start, is_moved
-
-
-def _lengths_and_directions(buildings: LocalBuildings) -> tuple[np.ndarray, np.ndarray]:
-    """Length (m,) and unit direction (m, 2) of every edge."""
-    start, end = edges(buildings.polygons)
-    length = np.maximum(np.linalg.norm(end - start, axis=1), 1e-9)
-    return length, (end - start) / length[:, None]
 
 
 def _is_free(
