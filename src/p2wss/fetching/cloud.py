@@ -13,11 +13,11 @@ import numpy as np
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import read_headers
 from p2wss.data.crs import check_crs
-from p2wss.data.tiling import Bounds, are_near, grown
+from p2wss.data.tiling import Bounds, are_near, bounds_of_points, grown
 from p2wss.storage import files, integrity
-from p2wss.storage.las_files import open_cloud
+from p2wss.storage.las_crs import crs_of
+from p2wss.storage.las_files import bounds_of, open_cloud
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
@@ -29,9 +29,18 @@ def read_header(path: Path) -> laspy.LasHeader:
         return reader.header
 
 
+def extent_of(path: Path) -> Bounds | None:
+    """The bounds that a header states; None where it states none, or others than those of the first point."""
+    # without threads, which would decode more than a point
+    with open_cloud(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
+        stated, first = bounds_of(reader.header), reader.read_points(1)
+    place = bounds_of_points(first.x, first.y)
+    return stated if stated and place and are_near(stated, place, 2 * _EDGE_M) else None
+
+
 def check_cloud(path: Path, crs: str) -> None:
     """Raise :class:`InputError` if the file is truncated or states a CRS that differs from ``crs``."""
-    check_crs(read_headers([path])[0].crs, crs, path)
+    check_crs(crs_of(read_header(path)), crs, path)
 
 
 def write_cloud(
@@ -108,7 +117,7 @@ def _in(x: np.ndarray, y: np.ndarray, bounds: Bounds) -> np.ndarray:
 
 def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
-    stated, limits = read_headers([path])[0].bounds, shapely.box(*grown(bounds, _EDGE_M))
+    stated, limits = extent_of(path), shapely.box(*grown(bounds, _EDGE_M))
     return (
         stated is not None
         and limits.covers(shapely.box(*stated))

@@ -17,12 +17,12 @@ import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
-from p2wss.clouds.reading import read_headers
 from p2wss.config import Folder
 from p2wss.data.crs import bounds_in_crs, check_crs, horizontal, reprojected, same_crs
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
+from p2wss.fetching.cloud import extent_of, read_header
 from p2wss.footprints.vector_files import decoded, layer_info, layers_of
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.log_lines import log
@@ -194,5 +194,5 @@ def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> Non
 def _overlaps(path: Path, bounds: Bounds) -> bool:
     """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre; that of one that states none,
     or a wrong one, may."""
-    (header,) = read_headers([path])
-    return header.num_points > 0 and (header.bounds is None or are_near(header.bounds, bounds, -0.5))
+    stated = extent_of(path)
+    return read_header(path).point_count > 0 and (stated is None or are_near(stated, bounds, -0.5))
