@@ -199,7 +199,7 @@ class Point2WssPredictor:
         angles = decoding.constrain(angles, self._angle_support())
         height, angle = decoding.decode(heights, mode), decoding.decode(angles, mode)
         return (
-            (height * 10.0 ** tokenizer.height_places[-1]).cpu().numpy(),
+            (height * 10.0 ** tokenizer.places[-1]).cpu().numpy(),
             angle.double().cpu().numpy(),
         )
 
@@ -229,7 +229,7 @@ class Point2WssPredictor:
         height = decoding.decode(heights, mode)
         angle = decoding.constrain(angle, self._angle_support())
         return (
-            (height * 10.0 ** tokenizer.height_places[-1]).cpu().numpy(),
+            (height * 10.0 ** tokenizer.places[-1]).cpu().numpy(),
             xy_m.cpu().numpy(),
             decoding.decode(angle, mode).gather(1, back).double().cpu().numpy(),
         )
@@ -267,10 +267,10 @@ class Point2WssPredictor:
         """Distributions of the heights (b, 10^k) and of the angles (b, n, 100) from the logits at
         :meth:`Tokenizer.target_positions`."""
         tokenizer = self.tokenizer
-        height, angle = logits.tensor_split([len(tokenizer.height_places)], 1)
+        height, angle = logits.tensor_split([len(tokenizer.places)], 1)
         digits = angle.unflatten(1, (-1, len(tokenizer.angle_places)))
         return (
-            decoding.number_distribution(height, tokenizer, tokenizer.height_places),
+            decoding.number_distribution(height, tokenizer, tokenizer.places),
             decoding.number_distribution(digits, tokenizer, tokenizer.angle_places),
         )
 

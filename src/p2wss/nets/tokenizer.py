@@ -65,19 +65,18 @@ class Tokenizer:
         top = 2 if hundreds else 1
         self.places = tuple(range(top, -3, -1))
         self.coord_decimals = coord_decimals
-        self.height_places = self.places
         self.coord_places = tuple(place for place in self.places if place >= -coord_decimals)
         self.angle_places = (1, 0)
         self.vocabulary_size = FIRST_DIGIT + 10 * len(self.places)
         self.vocabulary = SPECIAL + tuple(
             f"[{digit}·10^{place}]" for place in self.places for digit in range(10)
         )
-        self.max_height = 10 ** len(self.height_places) - 1
+        self.max_height = 10 ** len(self.places) - 1
         self.max_coord = 10 ** len(self.coord_places) - 1
         # of a vertex, whatever the rotation
         self.reach_m = self.max_coord * 10.0**-coord_decimals
 
-        header = [(START, KIND_FRAME), (HEIGHT, KIND_TYPE)] + [(MASK, KIND_HEIGHT)] * len(self.height_places)
+        header = [(START, KIND_FRAME), (HEIGHT, KIND_TYPE)] + [(MASK, KIND_HEIGHT)] * len(self.places)
         axis = [(PLUS, KIND_SIGN)] + [(MASK, KIND_COORDINATE)] * len(self.coord_places)
         block = [(POINT, KIND_TYPE), (X, KIND_TYPE), *axis, (Y, KIND_TYPE), *axis, (ANGLE, KIND_TYPE)]
         block += [(MASK, KIND_ANGLE)] * len(self.angle_places)
@@ -100,7 +99,7 @@ class Tokenizer:
         """Round metres and degrees; arguments (b,), (b, n, 2), (b, n), (b,). Not yet in canonical order."""
         inside = _inside(num_vertices, xy_m.shape[1])
         return Quantised(
-            height=torch.round(height_m.double() * 10 ** -self.height_places[-1]).long(),
+            height=torch.round(height_m.double() * 10 ** -self.places[-1]).long(),
             xy=torch.round(xy_m.double() * 10**self.coord_decimals).long() * inside[..., None],
             angle=torch.round(angle_deg.double()).long() * inside,
             num_vertices=num_vertices,
@@ -145,7 +144,7 @@ class Tokenizer:
         device = parameters.xy.device
         batch, n = parameters.angle.shape
         header = self._header[0].to(device, non_blocking=True).expand(batch, -1).clone()
-        header[:, 2:] = self._digits(parameters.height, self.height_places)
+        header[:, 2:] = self._digits(parameters.height, self.places)
         block = self._block[0].to(device, non_blocking=True).expand(batch, n, -1).clone()
         for axis, slot in ((0, self.x_slot), (1, self.y_slot)):
             value = parameters.xy[..., axis]
@@ -205,7 +204,7 @@ class Tokenizer:
         how many digits of its number stand before it; -1 and 0 where there is no digit."""
         block = [(self.x_slot + 1, self.coord_places), (self.y_slot + 1, self.coord_places)]
         block += [(self.angle_slot, self.angle_places)]
-        header = [(self.header_length - len(self.height_places), self.height_places)]
+        header = [(self.header_length - len(self.places), self.places)]
         layout = torch.stack([torch.full((length,), -1), torch.zeros(length, dtype=torch.int64)])
         for row, numbers in ((layout[:, : self.header_length], header), (self.blocks(layout), block)):
             for slot, places in numbers:
