@@ -9,13 +9,16 @@ draw them, as the paper draws them, and angles from 0 to 90 degrees; the same wi
 cells between random lines; and hard ones with planes that are nearly equal and lines that end millimetres beside
 corners. Each goes the way of the product (exact faces, tests, simpler roof) and is written to
 CityJSON; the text is then tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
-product. The last line is JSON.
+product, and by val3dity where it is installed. The last line is JSON.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import shutil
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -26,7 +29,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "unit"))
 import random_solids  # noqa: E402
-from figures import Figures  # noqa: E402
+from figures import Figures, run  # noqa: E402
 from random_solids import REGIMES, Rings  # noqa: E402
 
 from p2wss.config import Scenes  # noqa: E402
@@ -75,6 +78,18 @@ def _solid(kind: str, name: str, outline: Rings, seed: int) -> Reconstruction | 
     return random_solids.reconstruction(name, outline, float(rng.uniform(2.5, 9)), angle_deg)
 
 
+def invalid_by_val3dity(text: str) -> list[str]:
+    """The ids of the buildings in CityJSON text sequences that val3dity calls invalid."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, report = Path(folder, "buildings.city.jsonl"), Path(folder, "report.json")
+        path.write_text(text, encoding="utf-8")
+        run(["val3dity", path, "--report", report])
+        content = json.loads(report.read_text(encoding="utf-8"))
+    if content["dataset_errors"]:
+        raise RuntimeError(f"val3dity: {content['dataset_errors']}")
+    return [each["id"] for each in content["features"] if not each["validity"]]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -86,7 +101,7 @@ def main() -> int:
     print(f"{len(rings)} outlines of {arguments.footprints.name}", flush=True)
     counts: dict[str, Counter[str]] = {}
     rules: Counter[int] = Counter()
-    invalid, seconds = [], 0.0
+    invalid, seconds, built = [], 0.0, list[Reconstruction]()
     for number, (kind, building) in enumerate(solids(rings, arguments.num), 1):
         count = counts.setdefault(kind, Counter(dict.fromkeys(COLUMNS, 0)))
         if building is None:
@@ -99,6 +114,7 @@ def main() -> int:
         ((before, after, codes),) = random_solids.validated([building])
         count["solids"] += 1
         count["broken before"] += bool(found)
+        built += [after] if after.has_mesh else []
         if not after.has_mesh:
             count["no mesh"] += 1
         elif after.angle_deg is not before.angle_deg:
@@ -117,6 +133,8 @@ def main() -> int:
         print(f"{kind:12}" + "".join(f"{count[name]:>15}" for name in COLUMNS))
     figures = Figures()
     figures.at_most("invalid", len(invalid), 0)
+    if shutil.which("val3dity"):
+        figures.at_most("invalid by val3dity", len(invalid_by_val3dity(random_solids.written(built))), 0)
     figures.at_least("solids", total["solids"], 0.95 * arguments.num)
     figures.at_most("ms_per_building", 1e3 * seconds / total["solids"], 2.0)
     for kind, count in counts.items():

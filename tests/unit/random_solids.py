@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import shapely
@@ -154,9 +154,12 @@ def validated(
         if not after.has_mesh:
             yield before, after, []
             continue
-        mesh = after.placed_mesh
-        solid = cityjson.Solid(after.building_id, mesh.vertex_m, surfaces_to_write(mesh)[0])
-        (codes,) = solid_rules.codes_of_text(
-            "\n".join(cityjson.lines([solid], cityjson.Metadata(2154)))
-        ).values()
+        (codes,) = solid_rules.codes_of_text(written([after])).values()
         yield before, after, codes
+
+
+def written(reconstructions: Iterable[Reconstruction]) -> str:
+    """Buildings with a mesh as CityJSON text sequences."""
+    meshes = [(each.building_id, each.placed_mesh) for each in reconstructions]
+    solids = [cityjson.Solid(name, mesh.vertex_m, surfaces_to_write(mesh)[0]) for name, mesh in meshes]
+    return "\n".join(cityjson.lines(solids, cityjson.Metadata(2154)))
