@@ -319,6 +319,13 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     cloud = read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
     is_classified = bool((cloud.classification == BUILDING_CLASS).any())
     cloud, warnings = unclassified.with_classes(cloud)
+    if is_classified:
+        cloud, missed_m2 = unclassified.with_missed_buildings(cloud)
+        if missed_m2:
+            warnings.append(
+                f"{missed_m2:.0f} m2 of unclassified points on planes 2 m above the ground, without class 6: they have"
+                " outlines, as of buildings that the producer missed"
+            )
     for warning in warnings:
         log.warning("warning: %s", warning)
     shapes, crowns = outlines_and_crowns(cloud, config.reconstruct.outlines, is_classified)

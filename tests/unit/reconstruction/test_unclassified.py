@@ -14,7 +14,12 @@ from places import SHARED
 
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.data.las_classes import LAS, PRESETS, class_set
-from p2wss.reconstruction.points.unclassified import filled, ground_z_m, with_classes
+from p2wss.reconstruction.points.unclassified import (
+    filled,
+    ground_z_m,
+    with_classes,
+    with_missed_buildings,
+)
 
 DELFT = SHARED / "data" / "delft_ahn3" / "ahn3.laz"
 
@@ -33,6 +38,20 @@ def town(seed: int = 0) -> tuple[Cloud, np.ndarray]:
     z[crown], truth[crown] = ground[crown] + draw.uniform(2, 9, crown.sum()), 5
     z += draw.normal(0, 0.02, len(z))
     return Cloud(x + 5000, y + 7000, z, np.ones(len(x), np.uint8), None), truth
+
+
+def test_a_building_that_the_producer_missed_has_class_building_and_trees_and_trains_have_not() -> None:
+    cloud, truth = town()
+    x, y = cloud.x_m - 5000, cloud.y_m - 7000
+    train = (np.abs(x - 95) < 1.5) & (truth == 2)
+    z_m = np.where(train, 18.0, cloud.z_m)
+    gable = (truth == 6) & (x < 30)
+    given = np.where(gable | train | (truth == 5), 1, truth).astype(np.uint8)
+    result, area_m2 = with_missed_buildings(replace(cloud, z_m=z_m, classification=given))
+    changed = result.classification != given
+    assert (result.classification[changed] == 6).all() and not (changed & ~gable).any()
+    assert changed.sum() > 0.95 * gable.sum() and area_m2 == pytest.approx(12 * 16, rel=0.2)
+    assert y[changed].max() < 29
 
 
 @pytest.mark.parametrize("has_ground", [True, False])

@@ -58,6 +58,9 @@ _CHUNK = 10_000
 _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
 # metres around a tile in which points tell what is ground in it
 _TILE_MARGIN_M = 200.0
+# what the producer missed: of a cell, at least this share of the points that are high lies on planes; cells across the
+# narrowest, as trains and lorries are 3 m wide; square metres of the smallest
+_FLAT_SHARE, _MIN_WIDTH_CELLS, _MISSED_M2 = 0.8, 5, 40.0
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
@@ -101,6 +104,39 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
         classes = classes.copy()
         classes[candidates] = np.where(is_planar, BUILDING_CLASS, VEGETATION_CLASS)
     return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 0)
+
+
+def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
+    """(a cloud with class building, which the unclassified points of buildings that the producer missed have, too; the
+    area of these in square metres). These are on planes 2 m above the ground, in areas at least 5 m wide of 40 m2 and
+    more without points of the ground and of class building: neither trees nor trains and lorries are."""
+    classes = cloud.classification
+    candidates = np.flatnonzero(
+        (classes <= UNCLASSIFIED_CLASS) & (cloud.z_m - ground_z_m(cloud) >= MIN_HEIGHT_M)
+    )
+    is_candidate, is_flat, is_missed = np.zeros((3, len(cloud)), bool)
+    is_candidate[candidates] = True
+    is_flat[candidates] = planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
+    is_taken = has_class(classes, (GROUND_CLASS, BUILDING_CLASS))
+    area_m2 = 0.0
+    for tile in tiles(cloud.x_m, cloud.y_m, RULES.cell_m):
+        near = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, grown(tile, _TILE_MARGIN_M)))
+        row, column, shape = _cells(cloud.x_m[near], cloud.y_m[near])
+        cell, size = row * shape[1] + column, shape[0] * shape[1]
+        num_high, num_flat, num_taken = (
+            np.bincount(cell, of_class[near], size).reshape(shape)
+            for of_class in (is_candidate, is_flat, is_taken)
+        )
+        is_roof = (num_flat > 0) & (num_flat >= _FLAT_SHARE * num_high) & (num_taken == 0)
+        is_roof |= scipy.ndimage.binary_closing(is_roof, np.ones((3, 3))) & (num_taken == 0)
+        core = scipy.ndimage.binary_opening(is_roof, np.ones((_MIN_WIDTH_CELLS, _MIN_WIDTH_CELLS)))
+        area = scipy.ndimage.label(scipy.ndimage.binary_propagation(core, mask=is_roof))[0]
+        is_large = np.bincount(area.ravel()) * RULES.cell_m**2 >= _MISSED_M2
+        is_large[0] = False
+        own = in_window(cloud.x_m[near], cloud.y_m[near], tile) & is_large[area.ravel()[cell]]
+        is_missed[near[own]] = True
+        area_m2 += len(np.unique(cell[own])) * RULES.cell_m**2
+    return replace(cloud, classification=np.where(is_missed & is_flat, BUILDING_CLASS, classes)), area_m2
 
 
 def warnings(num_without_ground: int, num_without_buildings: int, num_footprints: int) -> list[str]:
