@@ -209,7 +209,7 @@ def main() -> int:
     for name in arguments.places:
         place = places(arguments.data)[name]
         houses = gpd.read_file(place.footprints).geometry.to_numpy()
-        cloud = clouds.read_clouds(place.clouds)
+        cloud, _ = unclassified.with_missed_buildings(clouds.read_clouds(place.clouds))
         shapely.prepare(houses)
         near = [shapely.contains_xy(house, cloud.x_m, cloud.y_m).any() for house in houses]
         houses = houses[np.array(near)]

@@ -60,7 +60,7 @@ _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
 _TILE_MARGIN_M = 200.0
 # what the producer missed: of a cell, at least this share of the points that are high lies on planes; cells across the
 # narrowest, as trains and lorries are 3 m wide; square metres of the smallest
-_FLAT_SHARE, _MIN_WIDTH_CELLS, _MISSED_M2 = 0.8, 5, 40.0
+_FLAT_SHARE, _MIN_WIDTH_CELLS, _MISSED_M2 = 0.5, 5, 40.0
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
