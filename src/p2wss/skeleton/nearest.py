@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.ordering import sorted_by
+from p2wss.skeleton.compiled import allocating, both, entry, inner
+from p2wss.skeleton.ordering import select, sorted_by
 from p2wss.skeleton.types import writable
 
 
@@ -23,28 +23,70 @@ def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[n
     return np.sqrt(squared_m2[:, :count]), number[:, :count]
 
 
+@inner
+def _between(edge_m: np.ndarray, mean_m: float, at_m: float) -> int:
+    """The last of the ascending ``edge_m`` that is not above a coordinate, 0 if all are. mean_m: between two of them,
+    where the search starts."""
+    k = int(min(max(at_m / mean_m, 0.0), len(edge_m) - 1.0))
+    while k > 0 and at_m < edge_m[k]:
+        k -= 1
+    while k + 1 < len(edge_m) and at_m >= edge_m[k + 1]:
+        k += 1
+    return k
+
+
+@allocating
+def _as_many_in_each(value_m: np.ndarray, num: int) -> np.ndarray:
+    """The lower edges of columns that have as many of some values from 0 on each; reorders the values."""
+    edge_m, size = np.zeros(num), len(value_m) // num + 1
+    for k in range(1, num):
+        first = min((k - 1) * size, len(value_m) - 1)
+        rest_m = value_m[first:]
+        edge_m[k] = select(rest_m, len(rest_m), min(size, len(rest_m) - 1))
+    return edge_m
+
+
+@allocating
+def _cells(
+    local_m: np.ndarray, x_edge_m: np.ndarray, y_edge_m: np.ndarray, cell_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(where those of each cell begin, points by cell)"""
+    cell = np.empty(len(local_m), np.int64)
+    for t in range(len(local_m)):
+        row, column = _between(y_edge_m, cell_m, local_m[t, 1]), _between(x_edge_m, cell_m, local_m[t, 0])
+        cell[t] = row * len(x_edge_m) + column
+    return sorted_by(cell, len(x_edge_m) * len(y_edge_m))
+
+
+@both
+def _grid(local_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray]:
+    """Points (n, 3), the least coordinates of which are 0, by the cells of a grid in plan: (lower edges of columns; of
+    rows; mean distance of edges; where the points of each cell begin, row by row; numbers of points, by cell)."""
+    x_m, y_m = local_m[:, 0].copy(), local_m[:, 1].copy()
+    width_m, height_m = x_m.max(), y_m.max()
+    # one in each on average: larger ones are slower for any count
+    cell_m = max((width_m * height_m / len(x_m)) ** 0.5, max(width_m, height_m) / len(x_m), 1e-9)
+    x_edge_m = np.arange(int(width_m / cell_m) + 1) * cell_m
+    y_edge_m = np.arange(int(height_m / cell_m) + 1) * cell_m
+    begin, order = _cells(local_m, x_edge_m, y_edge_m, cell_m)
+    most = (begin[1:] - begin[:-1]).max()
+    if most > 64 and most * most > 16 * len(x_m):
+        # in patches that are far apart: cells of one size would have all of a patch in one
+        num = int(len(x_m) ** 0.5)
+        x_edge_m, y_edge_m = _as_many_in_each(x_m, num), _as_many_in_each(y_m, num)
+        begin, order = _cells(local_m, x_edge_m, y_edge_m, cell_m)
+    return x_edge_m, y_edge_m, cell_m, begin, order
+
+
 @entry
 def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """(squared distances, numbers), one more than asked for of each place."""
-    size, low_m, extent_m, local_m = point_m.shape[1], np.zeros(3), np.zeros(3), np.zeros((len(point_m), 3))
+    size, low_m, local_m = point_m.shape[1], np.zeros(3), np.zeros((len(point_m), 3))
     for k in range(size):
-        low_m[k] = np.inf
-        for t in range(len(point_m)):
-            low_m[k] = min(low_m[k], point_m[t, k])
-        for t in range(len(point_m)):
-            local_m[t, k] = point_m[t, k] - low_m[k]
-            extent_m[k] = max(extent_m[k], local_m[t, k])
-    # the points by the cells of a grid in plan, one in each on average: larger ones are slower for any count
-    cell_m = max(
-        (extent_m[0] * extent_m[1] / len(point_m)) ** 0.5,
-        max(extent_m[0], extent_m[1]) / len(point_m),
-        1e-9,
-    )
-    num_columns, num_rows = int(extent_m[0] / cell_m) + 1, int(extent_m[1] / cell_m) + 1
-    cell = np.empty(len(point_m), np.int64)
-    for t in range(len(point_m)):
-        cell[t] = int(local_m[t, 1] / cell_m) * num_columns + int(local_m[t, 0] / cell_m)
-    begin, order = sorted_by(cell, num_columns * num_rows)
+        low_m[k] = point_m[:, k].min()
+        local_m[:, k] = point_m[:, k] - low_m[k]
+    x_edge_m, y_edge_m, cell_m, begin, order = _grid(local_m)
+    num_columns, num_rows = len(x_edge_m), len(y_edge_m)
     sorted_m = local_m[order]
     all_squared_m2 = np.full((len(place_m), count + 1), np.inf)
     all_numbers = np.zeros((len(place_m), count + 1), np.int64)
@@ -53,8 +95,7 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
         squared_m2, number = all_squared_m2[i], all_numbers[i]
         for k in range(size):
             place[k] = place_m[i, k] - low_m[k]
-        column = int(min(max(place[0] / cell_m, 0.0), num_columns - 1.0))
-        row = int(min(max(place[1] / cell_m, 0.0), num_rows - 1.0))
+        column, row = _between(x_edge_m, cell_m, place[0]), _between(y_edge_m, cell_m, place[1])
         reach, bound_m = 1, 0.0
         while bound_m < np.inf and squared_m2[count - 1] >= bound_m * bound_m:
             left, right, low, high = column - reach, column + reach, row - reach, row + reach
@@ -85,10 +126,10 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
                         squared_m2[k], number[k] = near_m2, order[t]
             # all points that are not in this square of cells are at least so far away
             bound_m = min(
-                place[0] - left * cell_m if left > 0 else np.inf,
-                (right + 1) * cell_m - place[0] if right < num_columns - 1 else np.inf,
-                place[1] - low * cell_m if low > 0 else np.inf,
-                (high + 1) * cell_m - place[1] if high < num_rows - 1 else np.inf,
+                place[0] - x_edge_m[left] if left > 0 else np.inf,
+                x_edge_m[right + 1] - place[0] if right < num_columns - 1 else np.inf,
+                place[1] - y_edge_m[low] if low > 0 else np.inf,
+                y_edge_m[high + 1] - place[1] if high < num_rows - 1 else np.inf,
             )
             reach += 1
     return all_squared_m2, all_numbers
