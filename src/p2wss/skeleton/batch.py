@@ -47,8 +47,6 @@ def _solids(batch: Batch, skeleton: SkeletonWork, mesh: MeshWork, start: int, ou
         output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == OK else 0
         output.vertex_offset[p + 1] = num_vertices + more_vertices
         output.triangle_offset[p + 1] = num_triangles + more_triangles
-        if code != OK:
-            continue
         origin = batch.ring_offset[batch.polygon_offset[p]]
         for k in range(more_vertices):
             output.vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]

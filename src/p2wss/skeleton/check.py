@@ -10,10 +10,10 @@ import numpy as np
 
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.groups import find_reverses
-from p2wss.skeleton.records import NUM_CAPS, MeshWork, SkeletonWork, Walls, flat_label, ground_label
+from p2wss.skeleton.records import NUM_CAPS, Batch, MeshWork, SkeletonWork, flat_label, ground_label
+from p2wss.skeleton.rings import signed_area
 from p2wss.skeleton.status import (
     INSIDE_OUT,
-    NON_FINITE,
     NOT_CLOSED,
     NOT_PLANAR,
     OK,
@@ -56,7 +56,6 @@ def separate_pinches(
     num_half = 3 * num_triangles
     num_fans[:num_points] = 0
     corner[:num_half] = -1
-    first_point = num_points
     for h in range(num_half):
         if corner[h] >= 0:
             continue
@@ -77,27 +76,33 @@ def separate_pinches(
             k = twin[before]
             if k == h:
                 break
-    if num_points > first_point:
-        for h in range(num_half):
-            triangle[h // 3, h % 3] = corner[h]
+    for h in range(num_half):
+        triangle[h // 3, h % 3] = corner[h]
     return num_points
 
 
 @inner
 def check_solid(
-    walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork, num_points: int, num_triangles: int
+    batch: Batch,
+    p: int,
+    skeleton_work: SkeletonWork,
+    mesh_work: MeshWork,
+    num_points: int,
+    num_triangles: int,
 ) -> int:
-    """The ``Status`` of a finished solid, all of whose vertices 0..num_points-1 are in use."""
-    num_edges, num_rings, plan_area, eave, base = walls
+    """The ``Status`` of a finished solid over polygon ``p`` of a batch, all of whose vertices 0..num_points-1 are in
+    use."""
+    first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
+    eave, base = batch.eave_height_m[p], batch.base_height_m[p]
+    num_edges, plan_area = batch.ring_offset[last_ring] - batch.ring_offset[first_ring], 0.0
+    for ring in range(first_ring, last_ring):
+        plan_area += signed_area(batch.xy_m, batch.ring_offset[ring], batch.ring_offset[ring + 1])
     edge, cap_height, counts = skeleton_work.edge, skeleton_work.cap_height, skeleton_work.counts
     point, triangle, triangle_label = mesh_work.vertex, mesh_work.triangle, mesh_work.triangle_label
-    for k in range(num_points):
-        if not (np.isfinite(point[k, 0]) and np.isfinite(point[k, 1]) and np.isfinite(point[k, 2])):
-            return NON_FINITE
     if not pair_half_edges(triangle, num_triangles, mesh_work):
         return NOT_CLOSED
     # V - E + F = 2 - 2 g with E = 3 F / 2, and one handle per courtyard
-    if 2 * num_points - num_triangles != 4 - 4 * (num_rings - 1):
+    if 2 * num_points - num_triangles != 4 - 4 * (last_ring - first_ring - 1):
         return WRONG_GENUS
     first_wall = num_edges + counts[NUM_CAPS]
     flat = flat_label(num_edges, counts)
@@ -140,6 +145,6 @@ def check_solid(
                 return NOT_PLANAR
     if abs(top_area - plan_area) > _AREA_SHARE * plan_area or abs(ground_area - plan_area) > 1e-9 * plan_area:
         return WRONG_AREA
-    if not volume > 0.0:
+    if not 0.0 < volume < np.inf:
         return INSIDE_OUT
     return OK

@@ -63,7 +63,6 @@ def load_footprint(
 def set_angles(edge: np.ndarray, num_edges: int, angle_deg: np.ndarray) -> int:
     """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, at least num_edges values.
     Returns a ``Status``."""
-    slope_deg, speed = 0.0, 0.0
     for i in range(num_edges):
         angle = angle_deg[i]
         if angle == edge[i].angle_deg:
@@ -71,9 +70,7 @@ def set_angles(edge: np.ndarray, num_edges: int, angle_deg: np.ndarray) -> int:
         if angle == 0.0 or angle == 90.0:
             edge[i].final_speed = 0.0
         elif MIN_SLOPE_DEG <= angle <= MAX_SLOPE_DEG:
-            if angle != slope_deg:
-                slope_deg, speed = angle, 1.0 / np.tan(angle * np.pi / 180.0)
-            edge[i].final_speed = speed
+            edge[i].final_speed = 1.0 / np.tan(angle * np.pi / 180.0)
         else:
             return BAD_ANGLE
         edge[i].angle_deg = angle

@@ -193,6 +193,23 @@ def _is_behind(places: _Places, faces: tuple[int, int], k: int) -> bool:
 
 
 @inner
+def _put_ahead(
+    node: np.ndarray, ahead: np.ndarray, num_ahead: int, k: int, way: tuple[float, float, float]
+) -> int:
+    """Put node k among those ahead on a way, the last one first. Returns their number."""
+    at = num_ahead
+    while at > 1:
+        w = ahead[at - 1]
+        dx, dy, dz = node[w].x - node[k].x, node[w].y - node[k].y, node[w].z - node[k].z
+        if dx * way[0] + dy * way[1] + dz * way[2] > 0.0:
+            break
+        ahead[at] = w
+        at -= 1
+    ahead[at] = k
+    return num_ahead + 1
+
+
+@inner
 def _put_storeys_ahead(places: _Places, mesh_work: MeshWork, ends: tuple[int, int], end_place: int) -> int:
     """The same as :func:`_put_cells_ahead` for an arc that rises along a wall: the places at heights between."""
     node, ahead = places.node, mesh_work.ahead
@@ -206,12 +223,7 @@ def _put_storeys_ahead(places: _Places, mesh_work: MeshWork, ends: tuple[int, in
         from_a, from_b = (node[k].z - node[a].z) * rise, (node[b].z - node[k].z) * rise
         is_between = min(from_a, from_b) > places.storey_m * abs(rise)
         if is_between and qx * qx + qy * qy < _SAME_PLACE_M * _SAME_PLACE_M:
-            at = num_ahead
-            while at > 1 and (node[ahead[at - 1]].z - node[k].z) * rise < 0.0:
-                ahead[at] = ahead[at - 1]
-                at -= 1
-            ahead[at] = k
-            num_ahead += 1
+            num_ahead = _put_ahead(node, ahead, num_ahead, k, (0.0, 0.0, rise))
     return num_ahead
 
 
@@ -263,15 +275,7 @@ def _put_cells_ahead(
             elif ahead_of_it < 0.0:
                 first = max(first, limit / ahead_of_it)
         if first < last:
-            at = num_ahead
-            while at > 1:
-                w = ahead[at - 1]
-                if (node[w].x - node[k].x) * dx + (node[w].y - node[k].y) * dy > 0.0:
-                    break
-                ahead[at] = w
-                at -= 1
-            ahead[at] = k
-            num_ahead += 1
+            num_ahead = _put_ahead(node, ahead, num_ahead, k, (dx, dy, 0.0))
     return num_ahead
 
 
@@ -432,11 +436,8 @@ def drop_straight_points(
         a, b = -1, -1
         for h in range(num_half):
             if half[h].alive == 1 and half[h].start == k:
-                if a < 0:
-                    a = half[h].end
-                else:
-                    b = half[h].end
-        if a < 0 or b < 0 or a == b:
+                a, b = b, half[h].end
+        if a == b:
             continue
         dx, dy, dz = point[b, 0] - point[a, 0], point[b, 1] - point[a, 1], point[b, 2] - point[a, 2]
         ex, ey, ez = point[k, 0] - point[a, 0], point[k, 1] - point[a, 1], point[k, 2] - point[a, 2]

@@ -42,7 +42,7 @@ from p2wss.skeleton.records import (
     VERTEX,
     SkeletonWork,
 )
-from p2wss.skeleton.rings import crosses
+from p2wss.skeleton.rings import crosses, to_segment_m2
 from p2wss.skeleton.status import BROKEN_WAVEFRONT, NO_EVENT, OK, OVERFLOW, TOO_MANY_EVENTS
 
 _PARALLEL = 1e-7  # sine below which two edges are parallel
@@ -330,10 +330,7 @@ def _depth2(
         b_x, b_y = _position(node, vertex, w, t)
         if crosses(a_x, a_y, b_x, b_y, x, y):
             inside = not inside
-        dx, dy = b_x - a_x, b_y - a_y
-        share = (x - a_x) * dx + (y - a_y) * dy
-        share = min(share / (dx * dx + dy * dy), 1.0) if share > 0.0 else 0.0
-        nearest2 = min(nearest2, (a_x + share * dx - x) ** 2 + (a_y + share * dy - y) ** 2)
+        nearest2 = min(nearest2, to_segment_m2(place, (a_x, a_y), (b_x, b_y)))
         a_x, a_y = b_x, b_y
         if w == v:
             break
@@ -426,6 +423,18 @@ def _name_loop(vertex: np.ndarray, v: int, name: int, limit: int) -> None:
 
 
 @inner
+def _cap(work: SkeletonWork, num_edges: int, region: int, t: float) -> None:
+    """End the loops with the name ``region``, or all if that is -1, in one cap at height t."""
+    vertex, counts = work.vertex, work.counts
+    cap = counts[NUM_CAPS]
+    work.cap_height[cap] = t
+    counts[NUM_CAPS] += 1
+    for v in range(counts[NUM_VERTICES]):
+        if vertex[v].alive == 1 and (region == _NOTHING or vertex[v].loop == region):
+            _cap_loop(work, v, t, num_edges + cap)
+
+
+@inner
 def _end_still_region(work: SkeletonWork, num_edges: int, v: int, phase: int, t: float) -> None:
     """The loop of v stands still: if its whole region does, freeze it (phase 0) or cap it (phase 1)."""
     edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
@@ -446,19 +455,14 @@ def _end_still_region(work: SkeletonWork, num_edges: int, v: int, phase: int, t:
                 if pass_number == 1 and vertex[w].loop != region:
                     _name_loop(vertex, w, region, limit)
                     num_holes += 1
-    cap = counts[NUM_CAPS]
     if phase == 1:
-        work.cap_height[cap] = t
-        counts[NUM_CAPS] += 1
         counts[NUM_HOLES] -= num_holes
+        _cap(work, num_edges, region, t)
+        return
     for w in range(limit):
         if vertex[w].alive == 1 and vertex[w].loop == region:
-            if phase == 1:
-                _cap_loop(work, w, t, num_edges + cap)
-            else:
-                vertex[w].collapse_time = _NEVER
-                vertex[w].split_time = _NEVER
-                vertex[w].split_from = _NOTHING
+            vertex[w].collapse_time = vertex[w].split_time = _NEVER
+            vertex[w].split_from = _NOTHING
 
 
 @inner
@@ -480,17 +484,6 @@ def _settle(work: SkeletonWork, num_edges: int, v: int, phase: int, t: float) ->
     elif not moves:
         _end_still_region(work, num_edges, v, phase, t)
     return True
-
-
-@inner
-def _cap_everything(work: SkeletonWork, num_edges: int, t: float) -> None:
-    vertex, counts = work.vertex, work.counts
-    cap = counts[NUM_CAPS]
-    work.cap_height[cap] = t
-    counts[NUM_CAPS] += 1
-    for v in range(counts[NUM_VERTICES]):
-        if vertex[v].alive == 1:
-            _cap_loop(work, v, t, num_edges + cap)
 
 
 @inner
@@ -663,7 +656,7 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
                     return NO_EVENT
                 break
             if phase == 1 and height > max_roof_height:
-                _cap_everything(work, num_edges, max_roof_height)
+                _cap(work, num_edges, _NOTHING, max_roof_height)
                 return OK
             t = max(t, height)
             if is_split:

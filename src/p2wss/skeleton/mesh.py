@@ -21,13 +21,11 @@ from p2wss.skeleton.records import (
     Ears,
     MeshWork,
     SkeletonWork,
-    Walls,
     flat_label,
     ground_label,
 )
-from p2wss.skeleton.rings import signed_area
 from p2wss.skeleton.status import BAD_HEIGHT, NOT_CLOSED, NOT_TRIANGULATED, OK, OVERFLOW
-from p2wss.skeleton.triangulate import clip_ears, copy_corners, join_holes
+from p2wss.skeleton.triangulate import clip_ears, join_holes
 from p2wss.skeleton.types import FaceKind
 
 _GROUND, _WALL, _ROOF, _FLAT = (
@@ -58,11 +56,13 @@ def solid_skeleton(batch: Batch, p: int, work: SkeletonWork) -> tuple[int, int]:
     status, num_edges = load_footprint(batch.xy_m, ring_offset, first_ring, last_ring, edge)
     if status != OK:
         return status, 0
-    eave, base = batch.eave_height_m[p], batch.base_height_m[p]
-    if not (np.isfinite(eave) and np.isfinite(base) and eave - base >= _LOWEST_WALL_M):
-        return BAD_HEIGHT, 0
-    max_roof_height = batch.max_roof_height_m[p]
-    if not max_roof_height >= 0.0:
+    eave, base, max_roof_height = (
+        batch.eave_height_m[p],
+        batch.base_height_m[p],
+        batch.max_roof_height_m[p],
+    )
+    are_finite = np.isfinite(eave) and np.isfinite(base)
+    if not (are_finite and eave - base >= _LOWEST_WALL_M and max_roof_height >= 0.0):
         return BAD_HEIGHT, 0
     first = ring_offset[first_ring]
     status = set_angles(edge, num_edges, batch.angle_deg[first : first + num_edges])
@@ -76,26 +76,12 @@ def solid_skeleton(batch: Batch, p: int, work: SkeletonWork) -> tuple[int, int]:
 @inner
 def _triangulate_faces(num_faces: int, mesh_work: MeshWork) -> int:
     """Cut all faces into triangles. Returns the number of triangles, or -1 if a face cannot be cut."""
-    flat, first = mesh_work.flat, mesh_work.flat_first
     num_triangles = ZERO
     for f in range(num_faces):
-        num_rings = mesh_work.face[f].last_ring - mesh_work.face[f].first_ring
-        size = ZERO
-        for r in range(num_rings):
-            ring = mesh_work.ring_order[mesh_work.face[f].first_ring + r]
-            start, end = mesh_work.ring_start[ring], mesh_work.ring_start[ring + 1]
-            first[r] = size
-            copy_corners(mesh_work.ring, start, flat, size, end - start)
-            size += end - start
-        first[num_rings] = size
+        rings = mesh_work.ring_order[mesh_work.face[f].first_ring : mesh_work.face[f].last_ring]
+        size = join_holes(rings, mesh_work)
         last = num_triangles
-        if num_rings > 1:
-            size = join_holes(flat, first, num_rings, mesh_work.loop, mesh_work.spare, mesh_work.joined)
-            if size < 0:
-                return -1
-            num_triangles = clip_ears(mesh_work.loop, size, mesh_work.ears, mesh_work.triangle, num_triangles)
-        else:
-            num_triangles = clip_ears(flat, size, mesh_work.ears, mesh_work.triangle, num_triangles)
+        num_triangles = clip_ears(mesh_work.loop, size, mesh_work.ears, mesh_work.triangle, num_triangles)
         if num_triangles < 0:
             return -1
         mesh_work.triangle_label[last:num_triangles] = mesh_work.face[f].label
@@ -103,27 +89,32 @@ def _triangulate_faces(num_faces: int, mesh_work: MeshWork) -> int:
 
 
 @inner
-def finish_solid(walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork) -> tuple[int, int, int]:
-    """From the skeleton to faces, triangles and checks. Returns (status, number of vertices, triangles)."""
-    num_edges = walls.num_edges
+def solid_mesh(
+    batch: Batch, p: int, skeleton_work: SkeletonWork, mesh_work: MeshWork
+) -> tuple[int, int, int, int]:
+    """Build the mesh of polygon ``p`` of a batch in ``mesh_work`` and check it. Returns (status, number of edges,
+    vertices, triangles)."""
+    status, num_edges = solid_skeleton(batch, p, skeleton_work)
+    if status != OK:
+        return status, 0, 0, 0
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
     status, num_half = collect_half_edges(num_edges, skeleton_work, mesh_work)
     if status != OK:
-        return status, 0, 0
+        return status, 0, 0, 0
     point = mesh_work.point
     num_nodes = counts[NUM_NODES]
     for k in range(num_nodes):
-        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + walls.eave_m
+        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + batch.eave_height_m[p]
     for i in range(num_edges):
         k = num_nodes + i
-        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, walls.base_m
+        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, batch.base_height_m[p]
     drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
     status, num_faces = trace_faces(edge, num_edges, counts, mesh_work)
     if status != OK:
-        return status, 0, 0
+        return status, 0, 0, 0
     num_triangles = _triangulate_faces(num_faces, mesh_work)
     if num_triangles < 0:
-        return NOT_TRIANGULATED, 0, 0
+        return NOT_TRIANGULATED, 0, 0, 0
     vertex = mesh_work.vertex
     triangle, new_index = mesh_work.triangle, mesh_work.new_index
     # keep the points in use, in their order
@@ -143,33 +134,13 @@ def finish_solid(walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork)
         for m in range(3):
             triangle[t, m] = new_index[triangle[t, m]]
     if not pair_half_edges(triangle, num_triangles, mesh_work):
-        return NOT_CLOSED, 0, 0
+        return NOT_CLOSED, 0, 0, 0
     num_vertices = separate_pinches(
         triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, mesh_work.out_head
     )
     if num_vertices < 0:
-        return OVERFLOW, 0, 0
-    status = check_solid(walls, skeleton_work, mesh_work, num_vertices, num_triangles)
-    return status, num_vertices, num_triangles
-
-
-@inner
-def solid_mesh(
-    batch: Batch, p: int, skeleton_work: SkeletonWork, mesh_work: MeshWork
-) -> tuple[int, int, int, int]:
-    """Build the mesh of polygon ``p`` of a batch in ``mesh_work`` and check it. Returns (status, number of edges,
-    vertices, triangles)."""
-    status, num_edges = solid_skeleton(batch, p, skeleton_work)
-    if status != OK:
-        return status, 0, 0, 0
-    first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
-    plan_area = 0.0
-    for ring in range(first_ring, last_ring):
-        plan_area += signed_area(batch.xy_m, batch.ring_offset[ring], batch.ring_offset[ring + 1])
-    walls = Walls(
-        num_edges, last_ring - first_ring, plan_area, batch.eave_height_m[p], batch.base_height_m[p]
-    )
-    status, num_vertices, num_triangles = finish_solid(walls, skeleton_work, mesh_work)
+        return OVERFLOW, 0, 0, 0
+    status = check_solid(batch, p, skeleton_work, mesh_work, num_vertices, num_triangles)
     return status, num_edges, num_vertices, num_triangles
 
 
@@ -178,7 +149,7 @@ def mesh_work(max_edges: int) -> MeshWork:
     num_points = 9 * max_edges + 64  # nodes of the skeleton, and the corners on the ground
     num_halves = 32 * max_edges + 512
     num_triangles = 16 * max_edges + 256
-    corners = [Corners(np.zeros((num_halves, 2)), np.zeros(num_halves, np.int64)) for _ in range(4)]
+    corners = [Corners(np.zeros((num_halves, 2)), np.zeros(num_halves, np.int64)) for _ in range(3)]
     return MeshWork(
         point=np.zeros((num_points, 3)),
         parent=np.zeros(num_points, np.int64),
@@ -196,10 +167,8 @@ def mesh_work(max_edges: int) -> MeshWork:
         ring_order=np.zeros(num_halves, np.int64),
         ring_area=np.zeros(num_halves),
         face=np.zeros(num_halves, FACE),
-        flat=corners[1],
-        flat_first=np.zeros(num_halves, np.int64),
-        loop=corners[2],
-        spare=corners[3],
+        loop=corners[1],
+        spare=corners[2],
         joined=np.zeros(num_halves, np.int64),
         ears=Ears(np.zeros(num_halves, np.int64), np.zeros(num_halves, np.int64), np.zeros(num_halves)),
         triangle=np.zeros((num_triangles, 3), np.int64),

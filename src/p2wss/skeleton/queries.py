@@ -196,24 +196,6 @@ def _vertical_face(edge: np.ndarray, num_edges: int, winding: np.ndarray, k: int
 
 
 @inner
-def _face_beside(
-    edge: np.ndarray,
-    num_edges: int,
-    num_faces: int,
-    num_segments: int,
-    query: QueryWork,
-    face: np.ndarray,
-    distance: np.ndarray,
-) -> int:
-    """The face at ``query.beside``, which it also writes to the first of ``face``. The windings of the first point of
-    the block are overwritten."""
-    x, y = query.beside[:1], query.beside[1:]
-    _wind(query.segment, num_segments, num_faces, query.winding, x, y)
-    _fill_faces(edge, num_edges, num_faces, query, QueryPoints(x, y, face, distance))
-    return face[0]
-
-
-@inner
 def _assign(
     num_edges: int, max_roof_height_m: float, skeleton: SkeletonWork, query: QueryWork, points: QueryPoints
 ) -> None:
@@ -240,9 +222,11 @@ def _assign(
                 # the point is on a vertical face, up to rounding: take the face beside it
                 query.beside[0] = x[k] - 1e-7 * edge[vertical].dir_y
                 query.beside[1] = y[k] + 1e-7 * edge[vertical].dir_x
-                f = _face_beside(
-                    edge, num_edges, num_faces, num_segments, query, face[k : k + 1], distance[k : k + 1]
-                )
+                beside = QueryPoints(query.beside[:1], query.beside[1:], face[k : k + 1], distance[k : k + 1])
+                # which overwrites the windings of the first point of the block
+                _wind(query.segment, num_segments, num_faces, winding, beside.x, beside.y)
+                _fill_faces(edge, num_edges, num_faces, query, beside)
+                f = face[k]
                 if f >= 0:
                     distance[k] = (y[k] - edge[f].y) * edge[f].dir_x - (x[k] - edge[f].x) * edge[f].dir_y
 
@@ -328,13 +312,10 @@ def roof_points(
         np.searchsorted(index[order], np.arange(num_polygons + 1)).astype(np.int64),
         status,
     )
-    back = np.empty(len(order), np.int64)
-    back[order] = np.arange(len(order))
-    face, distance = face[back], distance[back]
+    face[order], distance[order] = face.copy(), distance.copy()
     owned = face >= 0
     slope = np.ones(len(points))
-    first_edge = polygons.vertex_offset[:-1]
-    slope[owned] = tangents(batch.angle_deg[first_edge[index[owned]] + face[owned]])
+    slope[owned] = tangents(batch.angle_deg[polygons.vertex_offset[index[owned]] + face[owned]])
     z = eave[index] + slope * distance
     z[face == OUTSIDE] = np.nan
     return RoofPoints(z, np.where(owned, face, -1).astype(np.int32), status)

@@ -108,16 +108,6 @@ class Batch(NamedTuple):
     max_roof_height_m: np.ndarray
 
 
-class Walls(NamedTuple):
-    """What is below a roof: numbers of edges and rings and area of the footprint, heights of eave and base."""
-
-    num_edges: int
-    num_rings: int
-    plan_area_m2: float
-    eave_m: float
-    base_m: float
-
-
 class Corners(NamedTuple):
     """Corners of the rings of a face: uv, float64 (n, 2), in the plane of the face, and the numbers of the points."""
 
@@ -152,8 +142,6 @@ class MeshWork(NamedTuple):
     ring_order: np.ndarray
     ring_area: np.ndarray
     face: np.ndarray
-    flat: Corners
-    flat_first: np.ndarray
     loop: Corners
     spare: Corners
     joined: np.ndarray

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, inner
-from p2wss.skeleton.records import Corners, Ears
+from p2wss.skeleton.compiled import ZERO, embedded, inner
+from p2wss.skeleton.records import Corners, Ears, MeshWork
+from p2wss.skeleton.rings import sides
 
 MIN_AREA_M2 = 1e-12  # twice the area of the smallest triangle of a solid
 _SMALLEST_QUALITY = 1e-9
@@ -31,20 +32,12 @@ def _ring_blocks(
     uv: np.ndarray, first: int, last: int, p: tuple[float, float], q: tuple[float, float]
 ) -> bool:
     """Whether an edge of the ring ``first:last`` crosses or touches the segment from p to q, other than at its ends."""
-    p_u, p_v = p
-    q_u, q_v = q
-    for a in range(first, last):
-        b = a + 1 if a + 1 < last else first
-        a_u, a_v, b_u, b_v = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1]
-        if (a_u == p_u and a_v == p_v) or (a_u == q_u and a_v == q_v):
+    for k in range(first, last):
+        after = k + 1 if k + 1 < last else first
+        a, b = (uv[k, 0], uv[k, 1]), (uv[after, 0], uv[after, 1])
+        if a in (p, q) or b in (p, q):
             continue
-        if (b_u == p_u and b_v == p_v) or (b_u == q_u and b_v == q_v):
-            continue
-        p_side = _turn(a_u, a_v, b_u, b_v, p_u, p_v)
-        q_side = _turn(a_u, a_v, b_u, b_v, q_u, q_v)
-        a_side = _turn(p_u, p_v, q_u, q_v, a_u, a_v)
-        b_side = _turn(p_u, p_v, q_u, q_v, b_u, b_v)
-        if p_side * q_side <= 0.0 and a_side * b_side <= 0.0:
+        if sides(a, b, p, q) <= 0.0 and sides(p, q, a, b) <= 0.0:
             return True
     return False
 
@@ -68,30 +61,25 @@ def copy_corners(corners: Corners, first: int, to: Corners, at: int, count: int)
         to.point[at + k] = corners.point[first + k]
 
 
-@inner
-def join_holes(
-    rings: Corners, ring_first: np.ndarray, num_rings: int, loop: Corners, spare: Corners, joined: np.ndarray
-) -> int:
+@embedded
+def join_holes(rings: np.ndarray, mesh_work: MeshWork) -> int:
     """Join an outer ring and its holes into one ring, by bridges between the nearest visible corners.
 
-    rings, loop, spare: ``Corners``; ring r is at ``ring_first[r]:ring_first[r + 1]``, the outer ring first.
-    Writes the joined ring into ``loop``. Returns its length, or -1.
+    rings: numbers of those of ``mesh_work.ring``, the outer one first. Writes the joined ring to ``mesh_work.loop``.
+    Returns its length, or -1.
     """
-    uv, loop_uv = rings.uv, loop.uv
-    size = ring_first[1]
-    total = ring_first[num_rings]
-    if total + 2 * (num_rings - 1) > len(loop_uv):
-        return -1
-    copy_corners(rings, ZERO, loop, ZERO, size)
-    zero = ZERO
-    joined[:num_rings] = 0
-    joined[0] = 1
-    for _ in range(num_rings - 1):
+    corners, loop, spare, joined = mesh_work.ring, mesh_work.loop, mesh_work.spare, mesh_work.joined
+    uv, loop_uv, ring_start, zero = corners.uv, loop.uv, mesh_work.ring_start, ZERO
+    start = ring_start[rings[0]]
+    size = ring_start[rings[0] + 1] - start
+    copy_corners(corners, start, loop, zero, size)
+    joined[: len(rings)] = 0
+    for _ in range(len(rings) - 1):
         best, best_p, best_q, best_ring = np.inf, ZERO, ZERO, ZERO - 1
-        for ring in range(1, num_rings):
+        for ring in range(1, len(rings)):
             if joined[ring] == 1:
                 continue
-            first, last = ring_first[ring], ring_first[ring + 1]
+            first, last = ring_start[rings[ring]], ring_start[rings[ring] + 1]
             for q in range(first, last):
                 q_before = q - 1 if q > first else last - 1
                 q_after = q + 1 if q + 1 < last else first
@@ -106,21 +94,23 @@ def join_holes(
                     if not _in_cone(uv, q_before, q, q_after, at_p):
                         continue
                     blocked = _ring_blocks(loop_uv, zero, size, at_p, at_q)
-                    for other in range(1, num_rings):
+                    for other in range(1, len(rings)):
                         if not blocked and joined[other] == 0:
-                            start, end = ring_first[other], ring_first[other + 1]
+                            start, end = ring_start[rings[other]], ring_start[rings[other] + 1]
                             blocked = _ring_blocks(uv, start, end, at_p, at_q)
                     if not blocked:
                         best, best_p, best_q, best_ring = distance, p, q, ring
         if best_ring < 0:
             return -1
+        first, last = ring_start[rings[best_ring]], ring_start[rings[best_ring] + 1]
+        if size + last - first + 2 > len(loop_uv):
+            return -1
         # ... p, then the hole from q all the way round to q, then p again ...
-        first, last = ring_first[best_ring], ring_first[best_ring + 1]
         tail, at = size - best_p, best_p + 1
         copy_corners(loop, best_p, spare, zero, tail)
-        copy_corners(rings, best_q, loop, at, last - best_q)
+        copy_corners(corners, best_q, loop, at, last - best_q)
         at += last - best_q
-        copy_corners(rings, first, loop, at, best_q + 1 - first)
+        copy_corners(corners, first, loop, at, best_q + 1 - first)
         at += best_q + 1 - first
         copy_corners(spare, zero, loop, at, tail)
         size = at + tail
