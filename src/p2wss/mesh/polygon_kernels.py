@@ -113,14 +113,16 @@ def _touch_in_a_circle(corner: np.ndarray, ring_offset: np.ndarray, first_ring: 
     """Whether rings that touch one after the other in a circle divide the interior of a face. Two rings have at most
     one vertex in common."""
     group = np.arange(last_ring - first_ring)
-    for r in range(first_ring, last_ring):
-        for s in range(r + 1, last_ring):
-            for k in range(ring_offset[r], ring_offset[r + 1]):
-                if _has_vertex(corner, ring_offset[s], ring_offset[s + 1], corner[k]):
+    for s in range(first_ring + 1, last_ring):
+        for k in range(ring_offset[s], ring_offset[s + 1]):
+            for r in range(first_ring, s):
+                if _has_vertex(corner, ring_offset[r], ring_offset[r + 1], corner[k]):
                     one, two = group[r - first_ring], group[s - first_ring]
                     if one == two:
                         return True
                     group[group == two] = one
+                    # further rings at this vertex touch that one there, too
+                    break
     return False
 
 

@@ -103,6 +103,14 @@ def test_205_a_hole_that_divides_a_face() -> None:
     assert check([*BOX, (3, 2, 4)], [FACES[0], [FACES[1][0], [4, 6, 8]], *FACES[2:]]) == {205}
 
 
+def test_holes_that_touch_the_outside_in_the_same_vertex_divide_nothing() -> None:
+    holes = [(1, 0.5), (1, 1), (0.5, 1), (2, 0.5), (2, 0.7)]
+    vertex = [*BOX, *((x, y, 4) for x, y in holes)]
+    top = [FACES[1][0], [4, 9, 8], [4, 12, 11]]
+    # both holes are open, but touch nothing else
+    assert check(vertex, [FACES[0], top, *FACES[2:]]) == {302}
+
+
 @pytest.mark.parametrize(("lift_m", "expected"), [(0.05, {203}), (0.03, set())])
 def test_203_a_vertex_off_the_plane(lift_m: float, expected: set[int]) -> None:
     vertex = [*BOX[:6], (6, 5, 4 + lift_m), BOX[7]]

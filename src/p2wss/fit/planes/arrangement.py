@@ -75,9 +75,8 @@ def arrange(
     # an edge of the footprint and what goes on beyond it are one line
     first: dict[tuple[float, ...], int] = {}
     same = np.array([first.setdefault((*each.normal, each.offset_m), k) for k, each in enumerate(all_lines)])
-    place, link, line = _pieces(np.concatenate([edge_ends(rings), ends_of(lines, far_m)]) / GRID_M)
-    if len(place) > max_num_places:
-        raise TooManyPlacesError
+    end_m = np.concatenate([edge_ends(rings), ends_of(lines, far_m)])
+    place, link, line = _pieces(end_m / GRID_M, max_num_places)
     place_m = place * GRID_M
     is_beside = np.any((place_m < low - GRID_M) | (place_m > high + GRID_M), axis=1)
     is_drawn = ~is_beside[link].any(axis=1)
@@ -148,7 +147,7 @@ def _cells_around(outline: np.ndarray, doubled_m2: np.ndarray) -> np.ndarray:
     return result
 
 
-def _pieces(end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(end: np.ndarray, max_num_places: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(places (v, 2), by their first and then their second coordinate; the two places of each piece, (p, 2), ascending;
     the segment that it is nearest to, (p,)): the pieces of segments (s, 2, 2) from each place where one ends or two
     cross to the next, each once.
@@ -160,6 +159,9 @@ def _pieces(end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start, step = writable(end[:, 0], np.float64), writable(end[:, 1] - end[:, 0], np.float64)
     along = step / np.hypot(*step.T)[:, None]
     node = distinct(np.rint(np.concatenate([*end, _crossings(start, step, along)])) @ [1, 1j])
+    # what they pass is more by far
+    if len(node) > max_num_places:
+        raise TooManyPlacesError
     place = np.column_stack([node.real, node.imag])
     segment, number, at, off = _passed(start, step, along, place)
     order = np.lexsort((number, at, segment))

@@ -124,11 +124,12 @@ def fit_planes(
     along = directions(rings, settings.drawing.same_deg)
     main = along[:_NUM_DIRECTIONS]
     found = detect(point_m, density, main, settings.detection)
-    if not len(found.plane):
+    if len(found.plane):
+        plane = regular(found, point_m, along, settings.detection)
+        found = payable(point_m, found, plane, 1 / density, settings.prices)
+    # none may be worth its price
+    if not len(plane := found.plane):
         return None
-    plane = regular(found, point_m, along, settings.detection)
-    found = payable(point_m, found, plane, 1 / density, settings.prices)
-    plane = found.plane
     corner_m = np.concatenate(rings)
     top = np.where(found.label >= 0, point_m[:, 2], -np.inf).argmax()
     slope = plane[found.label[top], :2]

@@ -298,9 +298,9 @@ def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
     # GEOS fails on some regular grids, so that each point is moved a little
     site_m = point_m[rows, :2] + _shake_m(1 << len(rows).bit_length())[: len(rows)]
     links, x_m = [], point_m[rows, 0]
-    for first in range(0, len(rows), _STRIP):
-        # of many points in strips across, with what is beside: GEOS takes half a kilobyte for each
-        last = min(first + _STRIP, len(rows))
+    # of many points in strips across, with what is beside: GEOS takes half a kilobyte for each, and no single one
+    cuts = np.linspace(0, len(rows), -(-len(rows) // _STRIP) + 1).astype(int).tolist()
+    for first, last in pairwise(cuts):
         low, high = np.searchsorted(x_m, (x_m[first] - 2 * near_m, x_m[last - 1] + 2 * near_m))
         # edges keep heights: the numbers of their points
         sites = shapely.linestrings(np.column_stack([site_m, np.arange(len(rows))])[low:high])
@@ -476,6 +476,8 @@ def _through_corners(lines: Sequence[Line], corner_m: np.ndarray, near_m: float)
             continue
         near = np.flatnonzero(is_beside)
         on = corner_m[near[np.argsort(at[near], kind="stable")]]
+        # rings may touch in a corner
+        on = on[np.append(True, (on[1:] != on[:-1]).any(axis=1))]
         first_m, last_m = (float(each @ line.normal) for each in on[[0, -1]])
         result.append(line._replace(offset_m=first_m, high_m=at[near].min()))
         result += [Line.through(*ends).along(np.array(ends), 0.0) for ends in pairwise(on)]

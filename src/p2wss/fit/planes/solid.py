@@ -19,6 +19,7 @@ from p2wss.fit.planes.solid_kernels import OUTSIDE, SAME_HEIGHT_M, STRAIGHT_M, r
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import axes_of, triangulated
+from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.types import FaceKind, distinct, numbered, writable
 
 # metres: planes meet along an edge whose ends are so near in plan to the line where they do; no vertex moves further
@@ -81,9 +82,9 @@ class _Borders:
         is_border = face[:, 0] != face[:, 1]
         used, vertex = numbered(cells.side[is_border].ravel())
         xy_m, is_fixed = cells.xy_m[used], np.zeros(len(used), bool)
-        offset_m = np.abs(xy_m[:, None] - corner_m[None]).max(axis=2)
-        nearest, is_used = offset_m.argmin(axis=0), offset_m.min(axis=0) < STRAIGHT_M
-        xy_m[nearest[is_used]], is_fixed[nearest[is_used]] = corner_m[is_used], True
+        off_m, at = (each[:, 0] for each in nearest(xy_m, corner_m))
+        is_used = off_m < STRAIGHT_M
+        xy_m[at[is_used]], is_fixed[at[is_used]] = corner_m[is_used], True
         face, line = (np.ascontiguousarray(each[is_border], np.int64) for each in (face, cells.line))
         side, face, line = straightened(vertex.reshape(-1, 2), face, line, xy_m, is_fixed)
         return cls(side, face, line, xy_m, is_fixed)
@@ -162,27 +163,27 @@ class _Borders:
         if vertex_m[:, 2].min() < 0.0 or np.bincount(of_ring, minlength=len(size)).min() < 3:
             return None
         place = (axes[face[of_ring]] @ (vertex_m[ring] - vertex_m[0])[..., None])[..., 0]
-        triangle, number = _triangles(place, ring, of_ring, face, area < 0)
+        triangle, number = _triangles(place, ring, of_ring, face, area)
         mesh = Mesh(vertex_m, triangle.astype(np.int32), kind[number], number.astype(np.int32))
         # what is apart may move apart
         return mesh.part(slice(None)).of_faces() if is_closed(vertex_m, mesh.triangle) else None
 
 
 def _triangles(
-    place: np.ndarray, vertex: np.ndarray, ring: np.ndarray, face: np.ndarray, is_hole: np.ndarray
+    place: np.ndarray, vertex: np.ndarray, ring: np.ndarray, face: np.ndarray, area: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(vertices of triangles (t, 3), the face of each, (t,)) of rings, each a polygon or a hole in another one.
 
     place: (k, 2), the corners of all rings, each in the plane of its face. vertex, ring: (k,), of each corner. face,
-    is_hole: (r,), of each ring.
+    area: (r,), of each ring; areas of holes are negative.
     """
-    around = np.arange(len(face))
+    around, is_hole = np.arange(len(face)), area < 0
     if is_hole.any():
         outline = np.asarray(shapely.polygons(shapely.linearrings(place, indices=ring)), object)
         for hole in np.flatnonzero(is_hole).tolist():
-            has = ~is_hole & (face == face[hole])
-            has &= shapely.contains(outline, shapely.point_on_surface(outline[hole]))
-            around[hole] = np.where(has, shapely.area(outline), np.inf).argmin()
+            own = np.flatnonzero(~is_hole & (face == face[hole]))
+            own = own[shapely.contains(outline[own], shapely.point_on_surface(outline[hole]))]
+            around[hole] = min(own, key=area.__getitem__, default=0)
     # exteriors are before their holes
     order = np.lexsort((is_hole, around))
     rank, polygon = np.empty(len(order), np.int64), np.cumsum(~is_hole[order]) - 1

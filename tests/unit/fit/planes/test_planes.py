@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import maximum_flow
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
-from p2wss.fit.planes import lines
+from p2wss.fit.planes import arrangement, lines
 from p2wss.fit.planes.arrangement import GRID_M, _pieces, arrange
 from p2wss.fit.planes.costs import candidates_of, costs_of
 from p2wss.fit.planes.detection import RoofPlanes, _merged, detect, height_over, heights, payable
@@ -546,7 +546,7 @@ def test_two_planes_are_divided_at_least_cost_over_many_cells(seed: int) -> None
     """Against the greatest flow that scipy finds, in which capacities are whole numbers."""
     rng = np.random.default_rng(seed)
     grid = np.arange(900).reshape(30, 30)
-    pair = np.column_stack(cell_neighbours(grid))
+    pair = np.column_stack(cell_neighbours(grid >= 0))
     # in lumps, so that much flows far, and some of it nowhere
     cell_m3 = np.repeat(np.repeat(rng.integers(0, 2000, (6, 6, 2)), 5, 0), 5, 1).reshape(-1, 2)
     cell_m3 += rng.integers(0, 500, (900, 2))
@@ -964,6 +964,41 @@ def test_points_on_a_regular_grid_have_borders() -> None:
     links = lines._links(label, point_m, 0.4)
     side, _ = lines._borders(links, point_m)
     assert links.pair.tolist() == [[0, 1]] and np.bincount(side).tolist() == [12, 12]
+
+
+def test_no_point_is_alone_in_a_strip() -> None:
+    """Of one more than a strip has, the last is far from the others: GEOS refuses a line of one point."""
+    xy_m = np.vstack([np.random.default_rng(0).uniform(0, 100, (lines._STRIP, 2)), [(110.0, 50.0)]])
+    label = (xy_m[:, 0] > 50).astype(int)
+    links = lines._links(label, np.column_stack([xy_m, label]), 1.5)
+    assert links.pair.tolist() == [[0, 1]] and len(links.row) > 100
+
+
+def test_a_step_by_a_corner_where_a_courtyard_touches_the_outline() -> None:
+    """The corner is there twice, and no line goes from a place to itself."""
+    ring = np.array([[0, 0], [5, 0], [10, 0], [10, 10], [0, 10.0]])
+    corner_m = np.vstack([ring, [[5, 0], [4, 3], [6, 3]]])
+    parts = lines._through_corners([Line(np.array([0.0, 1.0]), 0.1, -20.0, 20.0)], corner_m, 0.15)
+    assert len(parts) == 4 and all(np.isfinite([*part.normal, part.offset_m]).all() for part in parts)
+
+
+def test_a_plane_that_is_not_worth_its_price_is_no_roof() -> None:
+    """A steep one of few points over a square metre, at the prices of little detail: it was an exception."""
+    rng, size_m = np.random.default_rng(0), 1.05
+    xy_m = rng.uniform(0, size_m, (56, 2))
+    point_m = np.column_stack([xy_m, 3 + 3.4 * xy_m[:, 0]])
+    point_m[25:, 2] = rng.uniform(3, 12, 31)
+    ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) * size_m
+    assert fit_planes([ring], point_m, PLANES) is not None
+    assert fit_planes([ring], point_m, PLANES.times(2.0)) is None
+
+
+def test_too_many_places_are_found_before_what_passes_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(arrangement, "_passed")
+    ring = np.array([[0, 0], [50, 0], [50, 50], [0, 50.0]])
+    grid = [Line(normal, x) for normal in np.eye(2) for x in np.linspace(1, 49, 20).tolist()]
+    with pytest.raises(arrangement.TooManyPlacesError):
+        arrange([ring], grid, 300)
 
 
 def test_a_step_that_turns_has_a_line_along_each_of_its_parts() -> None:
