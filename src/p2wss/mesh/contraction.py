@@ -27,19 +27,6 @@ def _length_m(vertex_m: np.ndarray, start: int, end: int) -> float:
 
 
 @entry
-def short_edges(mesh: Triangles, short_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """(ends (k, 2) of those sides of triangles that are shorter than ``short_m``; their lengths)."""
-    triangle, num = mesh.triangle, 0
-    ends, length_m = np.empty((3 * len(triangle), 2), np.int64), np.empty(3 * len(triangle))
-    for t in range(len(triangle)):
-        for k in range(3):
-            start, end = triangle[t, k], triangle[t, (k + 1) % 3]
-            ends[num, 0], ends[num, 1], length_m[num] = start, end, _length_m(mesh.vertex_m, start, end)
-            num += length_m[num] < short_m
-    return ends[:num].copy(), length_m[:num].copy()
-
-
-@entry
 def beside_edge(
     mesh: Triangles, vertex: np.ndarray, plane: np.ndarray, end: int, gone: int, walls_stay: bool
 ) -> np.ndarray:
@@ -53,26 +40,18 @@ def beside_edge(
     is_place, is_moved = np.zeros(num_vertices, np.bool_), np.zeros(num_planes, np.bool_)
     # floors stay, and walls on them
     is_on_floor, moves = np.zeros(num_vertices, np.bool_), np.ones(num_planes, np.bool_)
-    for t in range(len(triangle)):
-        moves[label[t]] &= kind[t] != _GROUND
-        for corner in triangle[t]:
-            is_on_floor[corner] |= kind[t] == _GROUND
+    is_on_floor[triangle[kind == _GROUND].ravel()], moves[label[kind == _GROUND]] = True, False
     for t in range(len(triangle)):
         for corner in triangle[t]:
             moves[label[t]] &= kind[t] != _WALL or not is_on_floor[corner]
-    for k, v in enumerate(vertex):
-        moves[plane[k]] |= v in (end, gone) and not walls_stay
+    if not walls_stay:
+        moves[plane[(vertex == end) | (vertex == gone)]] = True
     is_place[end] = is_place[gone] = True
-    linked = is_near(is_place, moves, vertex, plane, np.ones(len(vertex), np.bool_))
-    for k, p in enumerate(plane):
-        is_moved[p] |= linked[k]
-    for k, p in enumerate(plane):
-        is_place[vertex[k]] |= is_moved[p]
+    is_moved[plane[is_near(is_place, moves, vertex, plane, np.ones(len(vertex), np.bool_))]] = True
+    is_place[vertex[is_moved[plane]]] = True
     # and the planes that meet them
-    for k, p in enumerate(plane):
-        is_moved[p] |= is_place[vertex[k]]
-    for k, p in enumerate(plane):
-        is_place[vertex[k]] |= is_moved[p]
+    is_moved[plane[is_place[vertex]]] = True
+    is_place[vertex[is_moved[plane]]] = True
     result = np.empty(len(triangle), np.bool_)
     for t in range(len(triangle)):
         num = 0
@@ -110,24 +89,12 @@ def contracted(
     # the planes of both ends first, then those that are left without the edge
     for attempt in range(1 if gone == end or is_on_floor else 2):
         if attempt == 1:
-            tried, origin = _left(Triangles(vertex_m, joined, kind, label), stays), end
-            place, is_free[:] = tried.triangle, False
+            place, origin, is_free[:] = joined[stays], end, False
+            tried = Triangles(vertex_m, place, kind[stays], label[stays])
         is_met, moved_m = _met(tried, place, end, origin, short_m, is_free)
         if is_met:
             break
     return is_met, moved_m, joined, stays
-
-
-@allocating
-def _left(mesh: Triangles, stays: np.ndarray) -> Triangles:
-    """Those triangles that stay, bool (t,)."""
-    triangle, kind, label, num = mesh.triangle.copy(), mesh.kind.copy(), mesh.label.copy(), 0
-    for t in range(len(stays)):
-        if stays[t]:
-            for k in range(3):
-                triangle[num, k] = triangle[t, k]
-            kind[num], label[num], num = kind[t], label[t], num + 1
-    return Triangles(mesh.vertex_m, triangle[:num], kind[:num], label[:num])
 
 
 @allocating
@@ -149,9 +116,7 @@ def _met(
     first_m[end] = vertex_m[min(end, gone)]
     for turns in (False, True):
         row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, is_free, turns)
-        counts = np.zeros(num_vertices, np.bool_)
-        for v in range(num_vertices):
-            counts[v] = end < 0 or v == end
+        counts = (np.arange(num_vertices) == end) | (end < 0)
         point_m, apart_m = points(first_m, row, scale, at, plane_at, counts, walls_stay)
         if apart_m.max() > _PLANAR_M:
             continue

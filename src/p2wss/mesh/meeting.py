@@ -118,8 +118,7 @@ def points(
         for number in range(together.max() + 1):
             is_own[:] = moves & (together[:num_planes] == number)
             is_here[:] = together[num_planes:] == number
-            for k, place in enumerate(at):
-                is_here[place] |= is_own[plane[k]]
+            is_here[at[is_own[plane]]] = True
             own = is_here[at]
             own_at, own_plane, count = at[own], plane[own], 0
             for k, place in enumerate(own_at):
@@ -141,8 +140,7 @@ def _together(
     is_linked = is_near(is_off, moves, at, plane, np.ones(len(at), np.bool_))
     # places where planes depend on each other, as more meet than a point needs
     is_place = np.zeros(num, np.bool_)
-    for place in at[is_linked]:
-        is_place[place] = True
+    is_place[at[is_linked]] = True
     here = is_place[at]
     num_spare, rank, count = np.zeros(num, np.int64), _inverses(row, at[here], plane[here])[1], 0
     for place in at[here]:

@@ -10,7 +10,7 @@ from p2wss.mesh import contraction
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
 from p2wss.mesh.shell_kernels import NO_HEIGHT_M, Triangles, can_merge, planes_at, thin_triangles
-from p2wss.mesh.topology import first_of_faces
+from p2wss.mesh.topology import NEXT, first_of_faces
 from p2wss.mesh.triangulation import triangulated_in_space
 
 # ends of an edge that are nearer than this become one
@@ -72,13 +72,14 @@ def _without_shortest(
     Edges that could not go are not tried again, those with the same planes at their ends in this round (``kept``), and
     those whose planes have the same vertices in any (``tried``); both are added to.
     """
-    ends, length_m = contraction.short_edges(mesh.arrays, short_m)
-    if not len(ends):
+    is_short = mesh.edge_m < short_m
+    if not is_short.any():
         return None
     vertex_m, triangle, _, label = mesh.arrays
     vertex, plane = planes_at(triangle, label, len(vertex_m))
     begin = np.searchsorted(vertex, np.arange(len(vertex_m) + 1))
-    ends = ends[np.argsort(length_m, kind="stable")]
+    ends = np.stack([triangle, triangle[:, NEXT]], axis=2)[is_short]
+    ends = ends[np.argsort(mesh.edge_m[is_short], kind="stable")]
     # each edge once, not for both its triangles
     once = np.unique(np.sort(ends) @ [len(vertex_m), 1], return_index=True)[1]
     for end, gone in ends[np.sort(once)].tolist():
@@ -168,19 +169,19 @@ def _changes(
 def _flipped(mesh: Mesh) -> Mesh:
     """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
     triangle across the side has that corner, too, and is two."""
-    is_thin = thin_triangles(mesh.arrays)
-    for t in np.flatnonzero(is_thin).tolist():
-        if mesh.edge_m[t].min() <= NO_HEIGHT_M:
-            continue
+    pending = np.flatnonzero(thin_triangles(mesh.arrays)).tolist()
+    while pending:
+        t = pending.pop(0)
         side = int(mesh.edge_m[t].argmax())
-        start, _, corner = np.roll(mesh.triangle[t], -side)
         across, there = divmod(int(mesh.twin[t, side]), 3)
-        if across < 0:
+        if mesh.edge_m[t].min() <= NO_HEIGHT_M or across < 0:
             continue
+        start, _, corner = np.roll(mesh.triangle[t], -side)
         end, _, far = np.roll(mesh.triangle[across], -there)
         triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
         triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), across
         result = replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
-        if thin_triangles(result.arrays).sum() < is_thin.sum() and _changes(result, mesh)[0]:
-            return _flipped(result)
+        is_thin = thin_triangles(result.arrays)
+        if is_thin.sum() < thin_triangles(mesh.arrays).sum() and _changes(result, mesh)[0]:
+            mesh, pending = result, np.flatnonzero(is_thin).tolist()
     return mesh

@@ -166,20 +166,14 @@ def planes_of(mesh: Triangles, num: int) -> tuple[np.ndarray, np.ndarray, np.nda
 def can_merge(triangle: np.ndarray, num_vertices: int, end: int, gone: int) -> bool:
     """Whether triangles, int64 (t, 3), stay a manifold if two vertices with a common edge become one: these have two
     triangles in common, and no neighbours but those of the two."""
-    num_both, num_common = 0, 0
+    one, two, three = triangle[:, 0], triangle[:, 1], triangle[:, 2]
+    has_end, has_gone = (
+        (one == end) | (two == end) | (three == end),
+        (one == gone) | (two == gone) | (three == gone),
+    )
     is_at_end, is_at_gone = np.zeros(num_vertices, np.bool_), np.zeros(num_vertices, np.bool_)
-    for t in range(len(triangle)):
-        has_end, has_gone = False, False
-        for vertex in triangle[t]:
-            has_end |= vertex == end
-            has_gone |= vertex == gone
-        num_both += has_end and has_gone
-        for vertex in triangle[t]:
-            is_at_end[vertex] |= has_end
-            is_at_gone[vertex] |= has_gone
-    for vertex in range(num_vertices):
-        num_common += is_at_end[vertex] and is_at_gone[vertex]
-    return num_both == 2 and num_common == 4
+    is_at_end[triangle[has_end].ravel()], is_at_gone[triangle[has_gone].ravel()] = True, True
+    return (has_end & has_gone).sum() == 2 and (is_at_end & is_at_gone).sum() == 4
 
 
 @inner

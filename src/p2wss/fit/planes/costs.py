@@ -239,10 +239,11 @@ def candidates_of(
         size_m,
         num_planes,
     )
-    pairs = distinct(owner * len(wanted) + wanted_of)
-    return _united(
-        *np.divmod(pairs, len(wanted)), square_first, square_plane, len(cells.middle_m), num_planes
-    )
+    cell, part = np.divmod(distinct(owner * len(wanted) + wanted_of), len(wanted))
+    size = np.diff(square_first)[part]
+    row = np.arange(size.sum()) + np.repeat(square_first[part + 1] - np.cumsum(size), size)
+    pairs = distinct(np.repeat(cell, size) * num_planes + square_plane[row])
+    return np.searchsorted(pairs, num_planes * np.arange(len(cells.middle_m) + 1)), pairs % num_planes
 
 
 @entry
@@ -282,28 +283,6 @@ def _candidates_at(
         first[k + 1] = num
         least_m[found[:num_found]] = np.inf
     return first, result[:num].copy()
-
-
-@entry
-def _united(
-    owner: np.ndarray, part: np.ndarray, part_first: np.ndarray, number: np.ndarray, size: int, num: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """(where those of each of ``size`` owners begin, numbers below ``num``, ascending): what the parts of each owner
-    have. owner: ascending."""
-    first, result, count = np.zeros(size + 1, np.int64), np.empty(1024, np.int64), 0
-    last = np.full(num, -1)
-    for k in range(len(owner)):
-        for t in range(part_first[part[k]], part_first[part[k] + 1]):
-            if last[number[t]] != owner[k]:
-                last[number[t]] = owner[k]
-                if count == len(result):
-                    result = np.concatenate((result, np.empty_like(result)))
-                result[count], count = number[t], count + 1
-        first[owner[k] + 1] = count
-    for k in range(size):
-        first[k + 1] = max(first[k], first[k + 1])
-        result[first[k] : first[k + 1]].sort()
-    return first, result[:count].copy()
 
 
 class _Points(NamedTuple):
