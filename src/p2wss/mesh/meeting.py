@@ -142,11 +142,10 @@ def _together(
     is_place = np.zeros(num, np.bool_)
     is_place[at[is_linked]] = True
     here = is_place[at]
-    num_spare, rank, count = np.zeros(num, np.int64), _inverses(row, at[here], plane[here])[1], 0
+    num_spare, places = np.zeros(num, np.int64), np.flatnonzero(is_place)
+    num_spare[places] = -_inverses(row, at[here], plane[here])[1]
     for place in at[here]:
         num_spare[place] += 1
-    for place in np.flatnonzero(is_place):
-        num_spare[place], count = num_spare[place] - rank[count], count + 1
     is_linked = is_near(is_off, moves, at, plane, (is_off | (num_spare > 0))[at])
     part = grouped(num_planes + num, np.column_stack((plane[is_linked], num_planes + at[is_linked])))
     size, is_wrong = np.zeros(part.max() + 1, np.int64), np.zeros(part.max() + 1, np.bool_)
@@ -168,14 +167,11 @@ def is_near(
     for k, place in enumerate(at):
         num_places[plane[k]] += not is_off[place]
     is_near, is_moved, result = is_off.copy(), np.zeros(len(moves), np.bool_), is_link & moves[plane]
-    for k, place in enumerate(at):
-        result[k] &= is_off[place] or num_places[plane[k]] < _MANY_PLACES
+    result &= is_off[at] | (num_places[plane] < _MANY_PLACES)
     for _ in range(_NUM_RINGS):
         is_moved[:] = False
-        for k, place in enumerate(at):
-            is_moved[plane[k]] |= result[k] and is_near[place]
-        for k, place in enumerate(at):
-            is_near[place] |= result[k] and is_moved[plane[k]]
+        is_moved[plane[result & is_near[at]]] = True
+        is_near[at[result & is_moved[plane]]] = True
     return result & is_moved[plane] & is_near[at]
 
 
@@ -316,12 +312,9 @@ def _inverses(row: np.ndarray, at: np.ndarray, plane: np.ndarray) -> tuple[np.nd
     for k in range(len(at)):
         num += k == 0 or at[k] != at[k - 1]
     inverse, rank = np.zeros((num, 3, 3)), np.zeros(num, np.int64)
-    square, axes, begin = np.empty((3, 3)), np.empty((3, 3)), 0
+    square, axes, unit, begin = np.empty((3, 3)), np.empty((3, 3)), np.eye(3), 0
     for place in range(num):
-        for a in range(3):
-            for b in range(3):
-                square[a, b], axes[a, b] = 0.0, 1.0 if a == b else 0.0
-        k = begin
+        square[:], axes[:], k = 0.0, unit, begin
         while k < len(at) and at[k] == at[begin]:
             for a in range(3):
                 for b in range(3):

@@ -154,8 +154,9 @@ class Mesh:
 
     @cached_property
     def planes(self) -> Planes:
-        """The planes that the labels stand for."""
-        return Planes.of(self)
+        """The planes that the labels stand for (:func:`p2wss.mesh.shell_kernels.planes_of`)."""
+        num = int(self.number.max(initial=-1)) + 1
+        return Planes(*planes_of(self.arrays._replace(label=self.number), num))
 
     @cached_property
     def num_planes_at(self) -> np.ndarray:
@@ -183,12 +184,6 @@ class Planes:
     kind: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
-
-    @classmethod
-    def of(cls, mesh: Mesh) -> Planes:
-        """The planes of a mesh (:func:`p2wss.mesh.shell_kernels.planes_of`)."""
-        num = int(mesh.number.max(initial=-1)) + 1
-        return cls(*planes_of(mesh.arrays._replace(label=mesh.number), num))
 
     @property
     def is_wall(self) -> np.ndarray:

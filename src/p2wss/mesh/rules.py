@@ -59,6 +59,10 @@ VAL3DITY = Tolerances()
 WRITING = Tolerances(1.2e-3, 2e-4, 18.0)
 
 
+# normals of triangles that are compared with all others at once
+_TOGETHER = 500
+
+
 @dataclass(frozen=True)
 class Breach:
     """A rule that a solid breaks. face: the number of the face, or -1 if it is a rule of the shell."""
@@ -142,7 +146,7 @@ class _Faces:
         self.triangle, face = triangulated(plane_m, self.corner, ring, face_of_ring)
         normal = unit_normals(self.vertex_m[self.triangle])
         of_faces = np.split(normal, np.searchsorted(face, np.arange(1, len(size))))
-        lowest = np.array([(of_face @ of_face.T).min() for of_face in of_faces])
+        lowest = np.array([_lowest_cosine(of_face) for of_face in of_faces])
         is_folded = lowest < np.cos(np.radians(tolerances.fold_deg))
         return [Breach(204, f) for f in np.flatnonzero(is_folded).tolist()]
 
@@ -162,6 +166,12 @@ class _Faces:
         area_m2[np.arange(len(point_m)) >= self.ring_offset[self.face_ring[:-1] + 1][face]] = 0.0  # of holes
         plane_m[:, 1] *= np.where(np.add.reduceat(area_m2, first) < 0.0, -1.0, 1.0)[face]
         return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)
+
+
+def _lowest_cosine(normal: np.ndarray) -> float:
+    """That of the largest angle between unit normals (t, 3), without a matrix of all of them."""
+    rows = np.split(normal, range(_TOGETHER, len(normal), _TOGETHER))
+    return min(float((some @ normal.T).min()) for some in rows)
 
 
 def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray | None = None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +14,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.mesh.planar import with_exact_faces
 from p2wss.mesh.repair import SCALE_M, stored, surfaces_to_write
-from p2wss.mesh.rules import MEANINGS, VAL3DITY, breaches
+from p2wss.mesh.rules import MEANINGS, VAL3DITY, Breach, breaches
 from p2wss.skeleton.types import FaceKind, Polygons
 
 Shell = list[list[list[int]]]
@@ -109,6 +110,17 @@ def test_holes_that_touch_the_outside_in_the_same_vertex_divide_nothing() -> Non
     top = [FACES[1][0], [4, 9, 8], [4, 12, 11]]
     # both holes are open, but touch nothing else
     assert check(vertex, [FACES[0], top, *FACES[2:]]) == {302}
+
+
+def test_the_folds_of_a_large_face_take_memory_by_its_triangles() -> None:
+    """Of 5,000, all angles between two of them are 200 MB."""
+    turn = np.linspace(0, 2 * np.pi, 5000, endpoint=False)
+    vertex_m = 100 * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    tracemalloc.start()
+    assert breaches(vertex_m, [Surface(0, 0, [np.arange(5000)])]) == [Breach(301)]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 60e6
 
 
 @pytest.mark.parametrize(("lift_m", "expected"), [(0.05, {203}), (0.03, set())])

@@ -36,7 +36,8 @@ def simplify_exterior(rings: Sequence[np.ndarray], max_num_vertices: int) -> lis
         simple = exterior.minimum_rotated_rectangle
     if simple is exterior:
         return list(rings)
-    return [_rings(shapely.orient_polygons(simple, exterior_cw=False))[0], *rings[1:]]
+    exterior = shapely.orient_polygons(simple, exterior_cw=False).exterior
+    return [shapely.get_coordinates(exterior)[:-1], *rings[1:]]
 
 
 def kernel_angles(angle_deg: np.ndarray) -> np.ndarray:
@@ -127,10 +128,6 @@ def kernel_mesh(
         polygons, angle_deg, np.array([eave_height_m]), max_roof_height_m=max_roof_height_m
     )
     return with_exact_faces(Mesh.of_kernel(meshes, 0)) if meshes.status[0] == skeleton.Status.OK else None
-
-
-def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:
-    return [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
 
 
 def _num_vertices(polygon: shapely.Polygon) -> int:

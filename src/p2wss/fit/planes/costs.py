@@ -73,9 +73,11 @@ class Costs:
 
     def total_m3(self, label: np.ndarray) -> float:
         """Of planes ``label`` (c,) over the cells; beyond all else for each that is no candidate."""
-        choice = np.asarray(_choice_of(self.problem, np.asarray(label, np.int64)))
-        of_candidates_m3 = float(total_m3(self.problem, self.prices, np.maximum(choice, 0)))
-        return of_candidates_m3 + FORBIDDEN_M3 * np.count_nonzero(choice < 0)
+        chosen = np.flatnonzero(self.problem.number == np.asarray(label)[self.problem.of_cell])
+        choice = np.zeros(len(label), np.int64)
+        choice[self.problem.of_cell[chosen]] = chosen
+        of_candidates_m3 = float(total_m3(self.problem, self.prices, choice))
+        return of_candidates_m3 + FORBIDDEN_M3 * (len(label) - len(chosen))
 
     def change_m3(self, label: np.ndarray, cell: int, number: int) -> float:
         """What it costs that a cell gets another plane, without the prices of faces and lines."""
@@ -364,17 +366,6 @@ def beside(problem: Problem, way: int) -> int:
     """The cell at the other hand of the side of a ``way``, an element of ``side_end``."""
     num_sides = len(problem.pair)
     return problem.pair[way, 1] if way < num_sides else problem.pair[way - num_sides, 0]
-
-
-@both
-def _choice_of(problem: Problem, label: np.ndarray) -> np.ndarray:
-    """The candidates (c,) of planes over the cells, -1 for none."""
-    result = np.full(len(label), -1)
-    for cell in range(len(label)):
-        for t in range(problem.first[cell], problem.first[cell + 1]):
-            if problem.number[t] == label[cell]:
-                result[cell] = t
-    return result
 
 
 @entry

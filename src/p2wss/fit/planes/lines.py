@@ -17,7 +17,7 @@ from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.rings import sides
-from p2wss.skeleton.types import cross, differs, distinct, numbered, writable
+from p2wss.skeleton.types import cross, differs, distinct, next_in_ring, numbered, writable
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05
@@ -258,19 +258,14 @@ def _between(
 
 def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
-    result = []
-    for ring in rings:
-        edge = np.concatenate([ring[1:], ring[:1]]) - ring
-        normal = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.hypot(edge[:, 0], edge[:, 1])[:, None]
-        offset_m = (normal * ring).sum(axis=1).tolist()
-        # the edge before each is at the same place of an array that begins with the last
-        before = edge[np.arange(len(edge)) - 1]
-        is_reflex = (cross(before, edge) < 0).tolist()
-        goes_on = [
-            here or there for here, there in zip(is_reflex, is_reflex[1:] + is_reflex[:1], strict=True)
-        ]
-        result += [(Line(*line), further) for *line, further in zip(normal, offset_m, goes_on, strict=True)]
-    return result
+    end_m, after = edge_ends(rings), next_in_ring(np.cumsum([0, *map(len, rings)]))
+    edge = end_m[:, 1] - end_m[:, 0]
+    normal = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.hypot(edge[:, 0], edge[:, 1])[:, None]
+    offset_m = (normal * end_m[:, 0]).sum(axis=1).tolist()
+    # at the end of each, and at its start
+    goes_on = cross(edge, edge[after]) < 0
+    goes_on[after] |= goes_on.copy()
+    return [(Line(*line), further) for *line, further in zip(normal, offset_m, goes_on.tolist(), strict=True)]
 
 
 @cache
