@@ -40,6 +40,10 @@ _WKT_COLUMNS = ("WKT", "geometry", "geom", "the_geom", "wkt_geom")
 _GML = (".gml", ".xml")
 # of files in a .zip that are read
 _PACKED = (".shp", ".gpkg", ".gdb", ".geojson", ".fgb", ".gml", ".kml")
+# whole numbers beside missing ones stay what they are
+_OF_PARQUET = {"integer_object_nulls": True}
+# from here on, not each whole number is a float
+_MAX_EXACT = 2**53
 
 
 def read_vector(
@@ -71,23 +75,16 @@ def read_vector(
             table.validate(full=True)  # text that is not UTF-8, for instance
             if b"geo" not in (table.schema.metadata or {}):
                 raise InputError(f"{path}: {no_geometry(path)}")
-            features = Features.of(gpd.read_parquet(path))
+            features = Features.of(gpd.read_parquet(path, to_pandas_kwargs=_OF_PARQUET))
             number = np.arange(len(features))
             if bounds is not None:
                 number = np.flatnonzero(shapely.intersects(features.geometry, shapely.box(*bounds)))
             return features.take(number), number
         source = unpacked(path, layer)
-        meta, number, wkb, values = decoded(
-            source,
-            pyogrio.raw.read,
-            layer=chosen,
-            bbox=bounds,
-            return_fids=True,
-            datetime_as_string=True,
-        )
+        meta, number, wkb, columns = _read(source, layer=chosen, bbox=bounds)
     if wkb is None:
         raise InputError(f"{path}: {no_geometry(path)}")
-    if str(source).lower().endswith(".shp") and not values:  # each .dbf has a column
+    if str(source).lower().endswith(".shp") and not columns:  # each .dbf has a column
         log.warning(
             "warning: %s: has no .dbf, or a damaged one, and thus neither ids nor other columns", path
         )
@@ -98,13 +95,35 @@ def read_vector(
             # rings that do not end where they begin are closed
             shapes = shapely.from_wkb([each and _plain_wkb(each) for each in wkb], "fix")
         crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
-        features = Features(shapes, dict(zip(meta["fields"].tolist(), values, strict=True)), crs)
+        features = Features(shapes, columns, crs)
     if of != "polygons":
         return features, number
     is_building = osm_tags.is_building(features.columns, len(features))
     if not is_building.all():
         log.info("note: %s: %d areas that are no buildings are left out", path, (~is_building).sum())
     return features.take(is_building), number[is_building]
+
+
+def _read(
+    source: str | Path, **options: Any
+) -> tuple[dict[str, Any], np.ndarray, Any, dict[str, np.ndarray]]:
+    """(what pyogrio knows of a layer, the number of each feature in the file, WKB or None, columns). Of whole numbers
+    and truths beside missing ones pyogrio makes floats: they become what they are in the file, objects with None."""
+    meta, number, wkb, values = decoded(
+        source, pyogrio.raw.read, return_fids=True, datetime_as_string=True, **options
+    )
+    columns = dict(zip(meta["fields"].tolist(), values, strict=True))
+    for dtype, (name, column) in zip(meta["dtypes"], columns.items(), strict=True):
+        if np.dtype(dtype).kind not in "biu" or column.dtype.kind != "f":
+            continue
+        is_known = ~np.isnan(column)
+        exact = column[is_known]
+        if np.abs(exact).max(initial=0) >= _MAX_EXACT:
+            alone = {"columns": [name], "read_geometry": False, "where": f'"{name}" IS NOT NULL'}
+            exact = _read(source, **options | alone)[3][name]
+        columns[name] = np.full(len(column), None)
+        columns[name][is_known] = exact.astype(dtype).tolist()
+    return meta, number, wkb, columns
 
 
 def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
@@ -297,20 +316,13 @@ def _attributes(
     path: str, changed_ns: int, columns: tuple[str, ...], layer: str
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     if _is_parquet(path):
-        import pandas as pd
+        import pyarrow.parquet as pq
 
-        frame = pd.read_parquet(path, columns=list(columns))
+        frame = pq.read_table(path, columns=list(columns)).to_pandas(**_OF_PARQUET)
         return columns_of(frame), np.arange(len(frame))
-    meta, number, _, values = decoded(
-        unpacked(path, layer),
-        pyogrio.raw.read,
-        layer=_layer(path, layer)[0],
-        columns=list(columns),
-        read_geometry=False,
-        return_fids=True,
-        datetime_as_string=True,
-    )
-    return dict(zip(meta["fields"].tolist(), values, strict=True)), number
+    options = {"layer": _layer(path, layer)[0], "columns": list(columns), "read_geometry": False}
+    _, number, _, values = _read(unpacked(path, layer), **options)
+    return values, number
 
 
 def _plain_wkb(wkb: bytes) -> bytes:

@@ -14,7 +14,7 @@ import pyogrio
 import shapely
 
 from p2wss.storage import files
-from p2wss.storage.features import Features
+from p2wss.storage.features import Features, without_none
 
 # SQLite would wait for the disk at each step, and be ready to undo it: ``atomic`` completes a file once
 _OPTIONS = {"OGR_SQLITE_SYNCHRONOUS": "OFF", "OGR_SQLITE_JOURNAL": "OFF"}
@@ -85,11 +85,13 @@ def write(
 
 def _add_layer(path: Path, name: str, features: Features, **options: Any) -> None:
     code = features.crs and features.crs.to_epsg()
+    columns = [without_none(column) for column in features.columns.values()]
     pyogrio.raw.write(
         path,
         shapely.to_wkb(features.geometry),
-        list(features.columns.values()),
+        [values for values, _ in columns],
         list(features.columns),
+        field_mask=[missing if missing.any() else None for _, missing in columns],
         layer=name,
         driver="GPKG",
         geometry_type="Polygon" if np.any(features.geometry) else "Unknown",

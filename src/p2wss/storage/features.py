@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyproj
@@ -58,8 +58,25 @@ class Features:
     def to_frame(self) -> gpd.GeoDataFrame:
         """The same as a table of geopandas."""
         import geopandas as gpd
+        import pandas as pd
 
-        return gpd.GeoDataFrame(dict(self.columns), geometry=self.geometry, crs=self.crs)
+        columns: dict[str, Any] = dict(self.columns)
+        for name, column in columns.items():
+            values, missing = without_none(column)
+            if missing.any() and values.dtype == int:  # objects can be neither added nor compared
+                columns[name] = pd.arrays.IntegerArray(values, missing)
+        return gpd.GeoDataFrame(columns, geometry=self.geometry, crs=self.crs)
+
+
+def without_none(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(values, which are missing), each (n,): of objects that are whole numbers or truths beside None, these as such,
+    with 0 for None; of all others the same, without any that is missing."""
+    given = values.tolist()
+    missing = np.array([each is None for each in given], bool)
+    known = {type(each) for each in given} - {type(None)}
+    if values.dtype != object or known not in ({int}, {bool}):
+        return values, np.zeros(len(values), bool)
+    return np.array([each or 0 for each in given], known.pop()), missing
 
 
 def columns_of(frame: pd.DataFrame) -> dict[str, np.ndarray]:

@@ -18,12 +18,15 @@ import pandas as pd
 import pyogrio
 import pytest
 import shapely
+from toy_clouds import LAMBERT
 
 from p2wss.cli.inspection import describe
 from p2wss.data.crs import MetricCrs
 from p2wss.footprints.cleaning import read_footprints
-from p2wss.footprints.vector_files import layer_info, read_vector
+from p2wss.footprints.vector_files import layer_info, read_attributes, read_vector
+from p2wss.formats import gpkg
 from p2wss.storage.errors import InputError
+from p2wss.storage.features import Features
 
 FOREST = shapely.box(-40, -40, 40, 40)
 
@@ -265,3 +268,26 @@ def test_geoparquet_before_version_1(version: str, tmp_path: Path) -> None:
     frame = gpd.GeoDataFrame({"id": ["a"]}, geometry=[shapely.box(0, 0, 9, 9)], crs=28992)
     frame.to_parquet(path := tmp_path / "f.parquet", schema_version=version)
     assert layer_info(path)["geometry_type"] == "Polygon" and len(read_vector(path)[0]) == 1
+
+
+@pytest.mark.parametrize("kind", ["gpkg", "geojson", "parquet"])
+def test_whole_numbers_and_truths_beside_missing_ones_stay_what_they_are(tmp_path: Path, kind: str) -> None:
+    columns = {
+        "floors": [2, None, 0],
+        "is_listed": [True, None, False],
+        "key": [2**53 + 1, -(2**53) - 1, None],
+    }
+    stored = {name: np.array(values, object) for name, values in columns.items()}
+    features = Features(np.array([shapely.box(k, 0, k + 1, 1) for k in range(3)]), stored, LAMBERT)
+    path = tmp_path / f"f.{kind}"
+    frame = features.to_frame().convert_dtypes()
+    if kind == "gpkg":
+        gpkg.write(path, features, {})
+    else:
+        (frame.to_parquet if kind == "parquet" else frame.to_file)(path)
+    read = read_vector(path)[0].columns
+    assert {name: values.tolist() for name, values in read.items()} == columns
+    assert [list(map(type, values.tolist())) for values in read.values()] == [
+        list(map(type, values)) for values in columns.values()
+    ]
+    assert read_attributes(path, ("key",))[0]["key"].tolist() == columns["key"]

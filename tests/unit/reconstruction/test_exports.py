@@ -90,7 +90,7 @@ def test_every_format_has_the_same_content(results: list[Result], tmp_path: Path
     assert gpkg["building_id"].tolist() == ["A/1", "a_1", "far"]
     for column in gpkg.columns.drop("geometry"):
         for a, b in zip(gpkg[column], parquet[column], strict=True):
-            assert a == b or (pd.isna(a) and pd.isna(b))
+            assert (pd.isna(a) and pd.isna(b)) or a == b
     assert gpkg.geometry.geom_equals(parquet.geometry).all()
     attributes = {
         feature["id"]: feature["CityObjects"][feature["id"]]["attributes"]

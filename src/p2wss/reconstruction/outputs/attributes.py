@@ -207,11 +207,11 @@ def table(
 
 
 def _column(values: list[Any]) -> np.ndarray:
-    """Numbers with NaN, or objects with None, for what is not known."""
+    """Floats with NaN, or objects with None, for what is not known."""
     kinds = {type(value) for value in values}
-    if kinds - {type(None)} in ({int}, {float}, {int, float}):
-        values, kinds = [np.nan if value is None else value for value in values], {float}
-    return np.array(values, None if len(kinds) == 1 and kinds <= {int, float, bool} else object)
+    if float in kinds and kinds <= {int, float, type(None)}:
+        return np.array(values, float)
+    return np.array(values, None if kinds in ({int}, {bool}) else object)
 
 
 def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> Features | None:
