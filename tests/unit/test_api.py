@@ -314,6 +314,15 @@ def test_attributes_of_3dbag_name_the_cloud_of_a_building_too() -> None:
         assert building.attributes["b3_pw_bron"] == scene.table["b3_pw_bron"].iloc[0] == "cloud"
 
 
+def test_a_scene_has_the_columns_that_its_files_have() -> None:
+    given = footprints()[:1].assign(use="barn", floors=2)
+    config = {"reconstruct": {"keep_columns": ["floors"]}}
+    with p2wss.reconstruct(gable_points(), given, config=config, model="none", progress=False) as scene:
+        columns = {"id", "use", "floors"}
+        assert columns & {*scene.table} == columns & {*scene["a"].attributes} == {"floors"}
+        assert "barn" not in scene.to_html()
+
+
 def test_the_table_of_a_file_without_buildings(tmp_path: Path) -> None:
     path = tmp_path / "none.city.json"
     path.write_text(json.dumps({"type": "CityJSON", "version": "2.0", "CityObjects": {}, "vertices": []}))

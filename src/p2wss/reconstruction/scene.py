@@ -220,7 +220,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         """A row per building, by its id: footprint and attributes."""
         if self._run is not None:
             names = self.config.reconstruct.attribute_names
-            features = table(self._run.results, self._run.inputs.crs, self._run.facts, names)
+            features = table(self._run.kept, self._run.inputs.crs, self._run.facts, names)
             return features.to_frame().set_index("building_id")
         import geopandas as gpd
 
@@ -337,9 +337,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             return page.page_of_scenes(self.name, {self.name: self}, None)
         inputs = self._run.inputs
         terrain = inputs.terrain and inputs.terrain[0]
-        return page.page_of_run(
-            self._run.results, self.name, inputs.crs, self._run.facts, self.plants, terrain
-        )
+        return page.page_of_run(self._run.kept, self.name, inputs.crs, self._run.facts, self.plants, terrain)
 
     def _repr_html_(self) -> str:
         """That page in a cell of a notebook."""
@@ -447,11 +445,13 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
 @dataclass(frozen=True)
 class Run:
-    """What a scene keeps of its run. results: in a temporary file. points: the cloud, in another. facts: of the
-    provenance. failures: what failed. resources: what is closed with the scene."""
+    """What a scene keeps of its run. results: in a temporary file. kept: the same with the columns of footprints that
+    are kept. points: the cloud, in another file. facts: of the provenance. failures: what failed. resources: what is
+    closed with the scene."""
 
     inputs: Inputs
     results: Sequence[Result]
+    kept: Sequence[Result]
     plants: Sequence[vegetation.Plant]
     points: CloudIndex
     facts: dict[str, Any]
@@ -576,11 +576,12 @@ def reconstruct(
         if around is not None:
             plants = vegetation.plants(points, around, features.geometry)
             log.info("%d plants", len(plants))
-        run = Run(inputs, results, plants, points, facts, failures, resources.pop_all())
+        kept = exports.kept(results, settings)
+        run = Run(inputs, results, kept, plants, points, facts, failures, resources.pop_all())
 
     ids = rows["building_id"].tolist()
     crowns = [plant.mesh for plant in plants]
-    return Scene(ids, lambda k: _of_result(results[k], config, facts), inputs.crs, config, stem, run, crowns)
+    return Scene(ids, lambda k: _of_result(kept[k], config, facts), inputs.crs, config, stem, run, crowns)
 
 
 def read(path: str | Path) -> Scene:

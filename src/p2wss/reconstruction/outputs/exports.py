@@ -75,7 +75,7 @@ def write(
     ]
     bodies = [*meshes, *vegetation] if vegetation else meshes
     frame = frame_around(meshes, crs.to_string())
-    results = Lazy(lambda result: with_columns(result, config.keep_columns), results)
+    results = kept(results, config)
     single = file_names([body.name for body in meshes]) if config.per_building else []
 
     def of_output(output: Output) -> tuple[list[str], list[Path]]:
@@ -294,6 +294,11 @@ def mesh(result: Result, config: Reconstruct) -> Body:
     row = result.reconstruction
     materials = surface_materials(result.columns, config)
     return Body.of_building(row.building_id, row.placed_mesh, materials)
+
+
+def kept(results: Sequence[Result], config: Reconstruct) -> Sequence[Result]:
+    """The results with the columns of their footprints that are kept."""
+    return Lazy(lambda result: with_columns(result, config.keep_columns), results)
 
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:
