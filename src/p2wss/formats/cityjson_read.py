@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -178,9 +179,12 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
         triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
         for member in members:
-            by_lod = {str(g.get("lod")): g for g in member.get("geometry", []) if g["type"] in _DEPTHS}
-            geometry = next((by_lod[lod] for lod in _LODS if lod in by_lod), None)
-            for rings, kind in _polygons_of(geometry) if geometry else ():
+            given = [each for each in member.get("geometry", []) if each["type"] in _DEPTHS]
+            by_lod = [[each for each in given if str(each.get("lod")) == lod] for lod in _LODS]
+            best = next(filter(None, by_lod), [])
+            # some files have the surfaces of a solid beside it
+            closed = [each for each in best if "Solid" in each["type"]]
+            for rings, kind in chain(*map(_polygons_of, closed or best)):
                 triangles.append(triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]))
                 kinds.append(np.full(len(triangles[-1]), kind, np.uint8))
         triangle = np.concatenate(triangles)

@@ -304,6 +304,19 @@ def test_solids_of_several_and_every_kind_of_level_2_are_read(tmp_path: Path) ->
         assert other.mesh.kind.tolist() == first.mesh.kind.tolist()
 
 
+def test_all_solids_of_an_object_are_read_and_the_surfaces_beside_them_are_not(tmp_path: Path) -> None:
+    (first, _, _), (second, _, _) = solid_of("gables"), solid_of("courtyard")
+    document = json.loads("".join(cityjson.document_pieces([first, second], cityjson.Metadata())))
+    one, other = document["CityObjects"].values()
+    surfaces = {"type": "MultiSurface", "lod": one["geometry"][0]["lod"], "boundaries": [[[0, 1, 2]]]}
+    both = one | {"geometry": [*one["geometry"], *other["geometry"], surfaces]}
+    document["CityObjects"] |= {"both": both}
+    path = tmp_path / "x.city.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    *apart, together = (len(each.mesh.triangle) for each in cityjson_read.read(path))
+    assert together == sum(apart)
+
+
 def test_text_with_what_python_takes_for_the_end_of_a_line_is_read(tmp_path: Path) -> None:
     # an ellipsis of Windows, read as ISO-8859-1, and what web pages have
     name = "Caf\x85 \u2028"
