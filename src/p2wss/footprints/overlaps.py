@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 from collections import Counter, defaultdict
 from dataclasses import replace
 
@@ -33,7 +34,8 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
     to them, and they get the height that it states if they state none; one that is larger than any building gives way
     to all that are in it (:data:`~p2wss.data.reasons.AROUND_OTHERS`). Otherwise the larger one stays as it is, and of
     the smaller one what is outside it; if that is little, it has a status, :data:`~p2wss.data.reasons.DUPLICATE` or
-    :data:`~p2wss.data.reasons.WITHIN_OTHER`, and no polygon. The column ``overlapping_ids`` then names the others.
+    :data:`~p2wss.data.reasons.WITHIN_OTHER`, and no polygon. The column ``overlapping_ids`` then names the others, as
+    words of a shell.
 
     The result of a footprint depends on those that it overlaps directly or by others, not on the order of the rows.
     """
@@ -65,12 +67,12 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
         parts = _parts(k, inside, shapes, area_m2)
         if not parts and area_m2[k] > _LARGEST_M2 and len(inside) >= _NUM_INSIDE:
             status[k] = reasons.AROUND_OTHERS
-            others[k] = " ".join(sorted(ids[each] for each in inside))
+            others[k] = shlex.join(sorted(ids[each] for each in inside))
         if parts:
             status[k] = reasons.HAS_PARTS
             is_covering[parts] = True
             height_m[parts] = np.where(np.isnan(height_m[parts]), height_m[k], height_m[parts])
-            others[k] = " ".join(sorted(ids[part] for part in parts))
+            others[k] = shlex.join(sorted(ids[part] for part in parts))
     done: set[int] = set()
     for k in reversed(ascending):
         if status[k] != reasons.OK:
@@ -79,7 +81,7 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
         done.add(k)
         if not over:
             continue
-        others[k] = " ".join(sorted(ids[other] for other in over))
+        others[k] = shlex.join(sorted(ids[other] for other in over))
         rest = shapely.difference(shapes[k], shapely.union_all(shapes[over]))
         # without the lines that are left of it, with which GEOS finds no intersection
         rest = shapely.MultiPolygon([each for each in shapely.get_parts(rest) if each.geom_type == "Polygon"])
@@ -139,6 +141,6 @@ def tell(features: Features) -> None:
             is_usual = reason == reasons.HAS_PARTS
             level, prefix = (logging.INFO, "note") if is_usual else (logging.WARNING, "warning")
             if reason == reasons.WITHIN_OTHER:
-                (most, _), *_ = Counter(name for k in rows for name in others[k].split(" ")).most_common()
+                (most, _), *_ = Counter(name for k in rows for name in shlex.split(others[k])).most_common()
                 names += f"; most in {most}: leave it out if it is no building"
             log.log(level, "%s: footprints that %s: %d (%s)", prefix, text, len(rows), names)

@@ -59,15 +59,15 @@ def test_the_border_of_a_map_gives_way_to_the_buildings_in_it(
     side_m: float, num_inside: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A hall, too, has others in it, but no hall has 0.5 km2."""
-    houses = {f"h{k}": shapely.affinity.translate(HOUSE, 50 + 40 * k, 60) for k in range(num_inside)}
-    result = cleaned(border=shapely.box(0, 0, side_m, side_m), **houses)
+    houses = {f"h {k}": shapely.affinity.translate(HOUSE, 50 + 40 * k, 60) for k in range(num_inside)}
+    result = cleaned(**{"the border": shapely.box(0, 0, side_m, side_m)}, **houses)
     if side_m == 1000 and num_inside > 2:
-        assert dict(result["status"]) == {"border": "around-others", **dict.fromkeys(houses, "ok")}
-        assert result.loc["border", COLUMN] == "h0 h1 h2 h3"
-        assert "larger than any building, and give way to those in them: 1 (border)" in caplog.text
+        assert dict(result["status"]) == {"the border": "around-others", **dict.fromkeys(houses, "ok")}
+        assert result.loc["the border", COLUMN] == "'h 0' 'h 1' 'h 2' 'h 3'"
+        assert "larger than any building, and give way to those in them: 1 (the border)" in caplog.text
     else:
-        assert dict(result["status"]) == {"border": "ok", **dict.fromkeys(houses, "within-other")}
-        assert "; most in border: leave it out if it is no building)" in caplog.text
+        assert dict(result["status"]) == {"the border": "ok", **dict.fromkeys(houses, "within-other")}
+        assert "; most in the border: leave it out if it is no building)" in caplog.text
 
 
 def test_parts_of_parts() -> None:
