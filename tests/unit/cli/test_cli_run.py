@@ -100,6 +100,7 @@ def test_footprints_beyond_the_cloud_are_counted(
     assert "warning: the cloud has no point at 2 of 6 footprints" in caplog.text
     counts = json.loads((tmp_path / "out/lidar.json").read_text(encoding="utf-8"))["buildings"]
     assert counts["without_points"] == 2 and {*footprints["cleabs"][2:]} <= {*counts["to_check"]}
+    assert {*footprints["cleabs"][4:]} == {*counts["to_check"][:2]}  # without a mesh
     assert counts["doubts"] == {"height-from-attribute": 2, "empty": 2, "extended": 1}
     assert "1 need no look, 5 to check (2 empty, 2 height from attribute, 1 extended): " in caplog.text
 

@@ -259,7 +259,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     do not cover."""
     status, reasons, methods, doubts = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     not_representable = without_points = triangles = 0
-    to_check: list[tuple[float, str]] = []
+    to_check: list[tuple[bool, float, str]] = []
     for result in results:
         why = [] if result.registration is None else [*result.registration.flags]
         if result.status != "ok" and result.reason not in (HAS_PARTS, DUPLICATE):
@@ -268,7 +268,8 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
             why.append("not-representable")
         if why:
             doubts.update(why)
-            to_check.append((-np.nan_to_num(result.residual_m), result.reconstruction.building_id))
+            row = result.reconstruction
+            to_check.append((row.has_mesh, -np.nan_to_num(result.residual_m), row.building_id))
         status[result.status] += 1
         reasons.update(filter(None, [result.reason]))
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
@@ -285,7 +286,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         "without_points": without_points,
         "triangles": triangles,
         "doubts": dict(doubts.most_common()),
-        "to_check": [building_id for _, building_id in sorted(to_check)],
+        "to_check": [building_id for *_, building_id in sorted(to_check)],
     }
 
 
