@@ -31,6 +31,8 @@ _CHUNK_POINTS = 500_000
 _MAX_WINDOW_POINTS = 5_000_000
 _WEEK_S, _DAY_S = 604_800, 86_400
 _GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
+# raw GPS and Unix time, read as that, are 31 and 21 years late; dates of files are less wrong, but for those before LAS
+_AHEAD_DAYS, _FIRST_LAS = 3652, (date(2003, 5, 9) - GPS_EPOCH).days
 # coordinates in whole steps of this many per metre are equal: finer than those of files, which are multiples of at
 # least 0.1 mm, and not cut where such multiples are
 _STEPS_PER_M, _PHASE = 8000.0, 0.382
@@ -328,7 +330,7 @@ def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.nd
     """The days of points, as in :class:`Cloud`.
 
     Times are seconds since the epoch, less 1e9 (LAS 1.4, "adjusted standard GPS time"), or seconds of an unknown week.
-    Files say which, but not all are right: no week has more than 604,800 seconds.
+    Files say which, but not all are right: no week has more than 604,800 seconds, and points are no later than files.
     """
     # some programs write years that are centuries ahead
     created = 0 if header.creation_date is None else (header.creation_date - GPS_EPOCH).days
@@ -337,6 +339,8 @@ def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.nd
         return day
     time_s = np.asarray(points.gps_time)
     from_time = np.floor((time_s + _GPS_OFFSET_S) / _DAY_S)
-    is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < 2**16)
+    # without a date of the file, what raw GPS time gives since 2011, and Unix time since 2001, is too late
+    latest = created + _AHEAD_DAYS if _FIRST_LAS <= created < 2**16 else 2 * _GPS_OFFSET_S / _DAY_S
+    is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < latest)
     day[is_date] = from_time[is_date]
     return day

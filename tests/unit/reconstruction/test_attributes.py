@@ -276,14 +276,21 @@ def test_days_of_points(tmp_path: Path) -> None:
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.creation_date = date(2022, 6, 1)
     las = laspy.LasData(header)
-    las.x = las.y = las.z = np.arange(3.0)
+    las.x = las.y = las.z = np.arange(5.0)
     day = (date(2021, 2, 17) - GPS_EPOCH).days
-    las.gps_time = np.array([day * 86_400 - 1e9 + 5, 1000.0, (day + 1) * 86_400 - 1e9 - 5])
+    raw_s, unix_s = day * 86_400.0, pd.Timestamp(2021, 2, 17).timestamp()
+    las.gps_time = np.array([raw_s - 1e9 + 5, 1000.0, raw_s + 86_400 - 1e9 - 5, raw_s, unix_s])
     las.write(tmp_path / "a.laz")
     cloud = read_clouds([tmp_path / "a.laz"])
     assert cloud.day is not None
     days = [GPS_EPOCH + pd.Timedelta(int(value), "D") for value in cloud.day]
-    assert days == [date(2021, 2, 17), date(2022, 6, 1), date(2021, 2, 17)]
+    assert days == [
+        date(2021, 2, 17),
+        date(2022, 6, 1),
+        date(2021, 2, 17),
+        date(2022, 6, 1),
+        date(2022, 6, 1),
+    ]
 
 
 def test_a_rejected_footprint_has_no_measures() -> None:
