@@ -146,7 +146,7 @@ def _signature(function: Any) -> str:
 def _commands() -> str:
     """The help of every command."""
     parts = []
-    top = click.Context(cli.program, info_name="p2wss")
+    top = click.Context(cli.program, info_name="p2wss", **cli.program.context_settings)
     for name in cli.program.list_commands(top):
         command = cli.program.get_command(top, name)
         assert command is not None

@@ -104,8 +104,9 @@ def subcommand(words: list[str]) -> tuple[click.Command, list[str]]:
 
 
 def options(command: click.Command) -> set[str]:
-    names = set(cli.program.context_settings["help_option_names"])
-    names.update(*(each.opts + each.secondary_opts for each in command.get_params(click.Context(command))))
+    # a command keeps the options for help of the first context
+    context = click.Context(command, **cli.program.context_settings)
+    names = {name for each in command.get_params(context) for name in each.opts + each.secondary_opts}
     if isinstance(command, click.Group):
         parts = [command.get_command(click.Context(command), name) for name in command.commands]
         names.update(*map(options, parts))
