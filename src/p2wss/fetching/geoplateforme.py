@@ -112,17 +112,23 @@ class GeoplateformeSource:
         reasons = []
         for type_name in self.config.lidar_types:
             try:
-                return [self._tile(url) for url in self._lidar_urls(type_name, bounds)]
+                return self._tiles(self._lidar_urls(type_name, bounds))
             except (_NotListedError, NotFoundError) as error:
                 # a stored index may be out of date: the next attempt asks for it again
                 self._features_path(type_name, bounds, None).unlink(missing_ok=True)
                 reasons.append(f"{type_name}: {error}")
         raise InputError(f"no LiDAR HD in {bounds_text(bounds)}: {'; '.join(reasons)}")
 
-    def _tile(self, url: str) -> Path:
-        """The file of a tile, downloaded unless it is stored."""
-        path = self.downloads / "lidar" / Path(urlsplit(url).path).name
-        if not integrity.is_usable(path):
+    def _tiles(self, urls: list[str]) -> list[Path]:
+        """The files of tiles, downloaded unless they are stored."""
+        paths: list[Path] = []
+        for url in urls:
+            path = self.downloads / "lidar" / Path(urlsplit(url).path).name
+            if path in paths:  # a tile of two deliveries
+                path = self._path("lidar", {"url": url}, f"_{path.name}")
+            paths.append(path)
+            if integrity.is_usable(path):
+                continue
             log.info(f"downloading {url}")
             with files.atomic(path) as temporary:
                 self._download(url, temporary)
@@ -131,7 +137,7 @@ class GeoplateformeSource:
                 except InputError as error:
                     raise InputError(str(error).replace(str(temporary), url)) from error
                 append_checksum(temporary)
-        return path
+        return paths
 
     def _path(self, kind: str, request: dict[str, Any], suffix: str) -> Path:
         """Where the response to a request is stored. kind: name of the folder."""

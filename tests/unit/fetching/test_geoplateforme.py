@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pytest
 from places import SHARED
@@ -152,6 +153,22 @@ def test_lidar_tile_from_the_index(source: Any, httpserver: HTTPServer, tmp_path
     assert requests == 3
     assert source().lidar(BOUNDS) == paths
     assert len(httpserver.log) == requests, "a tile that is there is not downloaded again, nor its index"
+
+
+def test_tiles_of_the_same_name_in_two_folders_are_two(
+    source: Any, httpserver: HTTPServer, tmp_path: Path
+) -> None:
+    features = [
+        tile_feature(652, 6862, url=httpserver.url_for(f"/{folder}/t.laz")) | {"id": folder}
+        for folder in "ab"
+    ]
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
+    for num_points, folder in enumerate("ab", 5):
+        httpserver.expect_request(f"/{folder}/t.laz").respond_with_data(laz(tmp_path, num_points))
+    paths = source().lidar(BOUNDS)
+    assert [len(laspy.read(path)) for path in paths] == [5, 6] and paths[0].name == "t.laz"
+    requests = len(httpserver.log)
+    assert source().lidar(BOUNDS) == paths and len(httpserver.log) == requests
 
 
 def test_the_older_index_is_used_if_the_current_one_is_gone(
