@@ -501,3 +501,16 @@ def test_a_footprint_far_larger_than_the_cloud_takes_the_work_of_the_points(
     monkeypatch.setattr(shapely, "box", counted)
     assert "beyond-points" in contradictions(shapes, cloud).flags[0]
     assert num_boxes > 0
+
+
+def test_areas_that_contradict_do_not_depend_on_the_density() -> None:
+    """Half of a footprint is open ground, and a part of the building is outside."""
+    shapes = polygon_arrays.to_polygons(np.array([shapely.box(20, 20, 40, 30)], object))
+    areas_m2 = []
+    for seed in range(20):
+        x, y = np.random.default_rng(seed).uniform(0, 60, (2, 3600))
+        is_roof = (abs(x - 37.5) < 7.5) & (abs(y - 25) < 5)
+        cloud = Cloud(x, y, np.zeros(len(x)), np.where(is_roof, 6, 2).astype(np.uint8), None)
+        evidence = contradictions(shapes, cloud)
+        areas_m2.append([evidence.ground_inside_m2[0], evidence.roof_outside_m2[0]])
+    np.testing.assert_allclose(np.mean(areas_m2, axis=0), [100, 50], rtol=0.2)

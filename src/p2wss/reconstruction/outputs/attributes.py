@@ -115,8 +115,8 @@ def _registration_attributes(registration: Registration | None) -> dict[str, Any
         _rounded(registration.shift_sd_m),
         registration.source,
         " ".join(registration.flags) or None,
-        registration.ground_inside_m2,
-        registration.roof_outside_m2,
+        _rounded(registration.ground_inside_m2),
+        _rounded(registration.roof_outside_m2),
     )
     return dict(zip(names, values, strict=True))
 
