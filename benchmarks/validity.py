@@ -9,7 +9,8 @@ draw them, as the paper draws them, and angles from 0 to 90 degrees; the same wi
 cells between random lines; and hard ones with planes that are nearly equal and lines that end millimetres beside
 corners. Each goes the way of the product (exact faces, tests, simpler roof) and is written to
 CityJSON; the text is then tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
-product, and by val3dity where it is installed. The last line is JSON.
+product, and by val3dity where it is installed. Solids are then damaged, and p2wss and val3dity are to find the same
+ones invalid. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ import random_solids  # noqa: E402
 from figures import Figures, run  # noqa: E402
 from random_solids import REGIMES, Rings  # noqa: E402
 
+import p2wss  # noqa: E402
 from p2wss.config import Scenes  # noqa: E402
 from p2wss.data import polygon_arrays  # noqa: E402
 from p2wss.data.building import Reconstruction  # noqa: E402
@@ -39,6 +41,14 @@ from p2wss.footprints.cleaning import clean_footprints, read_footprints  # noqa:
 from p2wss.mesh.repair import surfaces_to_write  # noqa: E402
 
 COLUMNS = ("solids", "broken before", "simpler", "no mesh", "invalid", "without solid")
+# what is done to solids, and by how many metres
+MOVED_M = {
+    "moved": (-0.02, 0.02),
+    "moved far": (-8.0, 8.0),
+    **dict.fromkeys(("left out", "turned", "twice", "crossed", "hole"), (0.0, 0.0)),
+    "spike": (-2.0, 2.0),
+}
+DAMAGES = tuple(MOVED_M)
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo" / "BATIMENT.shp"
 
 
@@ -76,6 +86,54 @@ def _solid(kind: str, name: str, outline: Rings, seed: int) -> Reconstruction | 
         regime = str(rng.choice(REGIMES))
     angle_deg = random_solids.angles(outline, regime, name, seed)
     return random_solids.reconstruction(name, outline, float(rng.uniform(2.5, 9)), angle_deg)
+
+
+def damaged(text: str, num: int) -> str:
+    """CityJSON text sequences of ``num`` of the solids in some, each with one fault, or with one that is too small."""
+    head, *features = text.splitlines()
+    rng = np.random.default_rng(0)
+    lines = [head]
+    for number, row in enumerate(rng.integers(len(features), size=num).tolist()):
+        feature = json.loads(features[row])
+        (thing,) = feature["CityObjects"].values()
+        (geometry,), vertices = thing["geometry"], feature["vertices"]
+        geometry.pop("semantics")
+        shell = geometry["boundaries"][0]
+        face = int(rng.integers(len(shell)))
+        ring, kind = shell[face][0], DAMAGES[number % len(DAMAGES)]
+        at = int(rng.integers(len(ring)))
+        steps = round(rng.uniform(*MOVED_M[kind]) / json.loads(head)["transform"]["scale"][0])
+        if kind in ("moved", "moved far"):
+            vertices[ring[at]][int(rng.integers(3))] += steps
+        elif kind == "left out":
+            shell.pop(face)
+        elif kind == "turned":
+            shell[face] = [each[::-1] for each in shell[face]]
+        elif kind == "twice":
+            shell.append(shell[face])
+        elif kind == "crossed":
+            ring[at], ring[at - 1] = ring[at - 1], ring[at]
+        elif kind == "spike":
+            vertices.append([value + steps for value in vertices[ring[at]]])
+            ring[at : at + 1] = [ring[at], len(vertices) - 1, ring[at]]
+        else:  # a hole
+            corner = np.array([vertices[each] for each in ring])
+            hole = np.rint(corner.mean(axis=0) + 0.3 * (corner - corner.mean(axis=0))).astype(int)
+            shell[face].append(list(range(len(vertices), len(vertices) + len(hole)))[::-1])
+            vertices += hole.tolist()
+        feature["id"] = name = f"{kind} {number}"
+        feature["CityObjects"] = {name: thing}
+        lines.append(json.dumps(feature))
+    return "\n".join(lines)
+
+
+def num_judged_otherwise(text: str) -> int:
+    """Of how many solids in CityJSON text sequences p2wss and val3dity do not agree whether they are valid."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "damaged.city.jsonl")
+        path.write_text(text, encoding="utf-8")
+        ours = {name.partition(" (")[0] for name in p2wss.check(path).invalid}
+    return len(ours ^ set(invalid_by_val3dity(text)))
 
 
 def invalid_by_val3dity(text: str) -> list[str]:
@@ -134,7 +192,9 @@ def main() -> int:
     figures = Figures()
     figures.at_most("invalid", len(invalid), 0)
     if shutil.which("val3dity"):
-        figures.at_most("invalid by val3dity", len(invalid_by_val3dity(random_solids.written(built))), 0)
+        text = random_solids.written(built)
+        figures.at_most("invalid by val3dity", len(invalid_by_val3dity(text)), 0)
+        figures.at_most("damaged, judged otherwise by val3dity", num_judged_otherwise(damaged(text, 5000)), 0)
     figures.at_least("solids", total["solids"], 0.95 * arguments.num)
     figures.at_most("ms_per_building", 1e3 * seconds / total["solids"], 2.0)
     for kind, count in counts.items():
