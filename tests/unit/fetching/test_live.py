@@ -59,5 +59,7 @@ def test_an_index_lists_lidar_that_can_be_downloaded(
         seen.append(url)
 
     monkeypatch.setattr(source.client, "download", begin)
-    monkeypatch.setattr(source, "_tile", lambda url: source._download(url, tmp_path / "tile"))
+    monkeypatch.setattr(
+        source, "_tiles", lambda urls: [source._download(url, tmp_path / "tile") for url in urls]
+    )
     assert len(source.lidar(BOUNDS)) == len(seen) == 1
