@@ -39,14 +39,10 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
             clouds.append(path)
     if not cities:
         raise InputError(f"{paths[0]}: no CityJSON file, nor a folder with one (.city.json, .city.jsonl)")
-    of_runs = {each.with_name(each.stem.removesuffix(".city") + ".html") for each in cities}
-    if (
-        [each.is_dir() for each in paths] == [True]
-        and out is None
-        and [each.exists() for each in of_runs] == [True]
-    ):
-        page = of_runs.pop()  # with the points, and how footprints were moved
-    else:
+    page, *others = {each.with_name(each.stem.removesuffix(".city") + ".html") for each in cities}
+    is_one_run = len(paths) == 1 and paths[0].is_dir() and not others
+    # the page of a run has the points, too, and how footprints were moved
+    if not (is_one_run and out is None and page.exists()):
         page = out or cities[0].with_name("view.html")
         files.write_text(page, _page(cities, clouds, crs, config.reconstruct.height_unit))
     log.info("open %s in a browser", page)

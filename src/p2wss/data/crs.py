@@ -16,15 +16,15 @@ from p2wss.storage.errors import InputError
 from p2wss.storage.las_crs import (
     UNKNOWN,
     epsg_of,
+    horizontal,
     in_degrees,
     in_unit,
     is_plausible,
     meridian_deg,
+    same_crs,
     unit_m,
     vertical_part,
 )
-from p2wss.storage.las_crs import horizontal as horizontal
-from p2wss.storage.las_crs import same_crs as same_crs
 from p2wss.storage.log_lines import log
 
 if TYPE_CHECKING:

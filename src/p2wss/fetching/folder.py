@@ -18,13 +18,14 @@ from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
 from p2wss.config import Folder
-from p2wss.data.crs import bounds_in_crs, check_crs, horizontal, reprojected, same_crs
+from p2wss.data.crs import bounds_in_crs, check_crs, reprojected
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import extent_of, read_header
 from p2wss.footprints.vector_files import decoded, layer_info, layers_of
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.las_crs import horizontal, same_crs
 from p2wss.storage.log_lines import log
 
 

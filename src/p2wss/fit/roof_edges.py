@@ -77,10 +77,13 @@ def move_walls(
     after = edge_ends([ring])[:, 1]
     shift_m = np.zeros(len(ring))
     for i, ends in enumerate(zip(ring, after, strict=True)):
-        begins_m = _begins_m(*ends, roof_point_m, 0.0)
-        within_m = min(median(begins_m), max_shift_m) if len(begins_m) else 0.0
-        if within_m >= RULES.min_shift_m and _is_open(*ends, within_m, ground_m, building_m):
-            shift_m[i] = within_m
+        # first, as it is found in less time than where the roof begins
+        if _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
+            begins_m = _begins_m(*ends, roof_point_m, 0.0)
+            within_m = min(median(begins_m), max_shift_m) if len(begins_m) else 0.0
+            is_far = within_m >= RULES.min_shift_m
+            if is_far and _is_open(*ends, within_m, ground_m, building_m, RULES.ground_share):
+                shift_m[i] = within_m
     # a short edge between two that move, the chamfer of a corner, moves with them
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < RULES.min_edge_m).tolist():
         shift_m[i] = min(shift_m[i - 1], shift_m[(i + 1) % len(ring)])
@@ -214,11 +217,15 @@ def _is_open(
     shift_m: float,
     ground_m: np.ndarray,
     building_m: np.ndarray,
+    ground_share: float,
 ) -> bool:
-    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge."""
+    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge: more than
+    ``ground_share`` of the points within it are of the ground."""
     inside, beyond = [], []
     for xy_m in (ground_m, building_m):
         _, depth, _ = _beside(start, end, xy_m)
         inside.append(int(((depth > 0) & (depth < shift_m)).sum()))
+        if not inside[0]:
+            return False
         beyond.append(int(((depth < 0) & (depth > -RULES.beyond_m)).sum()))
-    return inside[0] > RULES.ground_share * sum(inside) and beyond[1] <= RULES.most_building * beyond[0]
+    return inside[0] > ground_share * sum(inside) and beyond[1] <= RULES.most_building * beyond[0]

@@ -14,7 +14,7 @@ import shapely
 from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
-from p2wss.data.crs import MetricCrs, horizontal, reprojected
+from p2wss.data.crs import MetricCrs, reprojected
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
@@ -23,7 +23,7 @@ from p2wss.footprints.schemas import building_ids, by_name, schema_of, stated_he
 from p2wss.footprints.vector_files import NO_POLYGONS, no_geometry, read_attributes, read_vector
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import placed
+from p2wss.storage.las_crs import horizontal, placed
 
 if TYPE_CHECKING:
     import geopandas as gpd

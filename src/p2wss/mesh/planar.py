@@ -169,7 +169,8 @@ def _changes(
 def _flipped(mesh: Mesh) -> Mesh:
     """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
     triangle across the side has that corner, too, and is two."""
-    pending = np.flatnonzero(thin_triangles(mesh.arrays)).tolist()
+    is_thin = thin_triangles(mesh.arrays)
+    pending = np.flatnonzero(is_thin).tolist()
     while pending:
         t = pending.pop(0)
         side = int(mesh.edge_m[t].argmax())
@@ -181,7 +182,7 @@ def _flipped(mesh: Mesh) -> Mesh:
         triangle, like = mesh.triangle.copy(), np.arange(len(mesh.triangle))
         triangle[across], triangle[t], like[t] = (end, corner, far), (corner, start, far), across
         result = replace(mesh, triangle=triangle, kind=mesh.kind[like], label=mesh.label[like])
-        is_thin = thin_triangles(result.arrays)
-        if is_thin.sum() < thin_triangles(mesh.arrays).sum() and _changes(result, mesh)[0]:
-            mesh, pending = result, np.flatnonzero(is_thin).tolist()
+        still_thin = thin_triangles(result.arrays)
+        if still_thin.sum() < is_thin.sum() and _changes(result, mesh)[0]:
+            mesh, is_thin, pending = result, still_thin, np.flatnonzero(still_thin).tolist()
     return mesh

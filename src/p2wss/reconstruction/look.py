@@ -12,7 +12,7 @@ import pyproj
 import shapely
 
 from p2wss.config import Config
-from p2wss.data.crs import ground_scales, horizontal
+from p2wss.data.crs import ground_scales
 from p2wss.data.las_classes import class_set
 from p2wss.data.points import stride
 from p2wss.footprints import overlaps, vector_files
@@ -23,7 +23,7 @@ from p2wss.reconstruction.points import plausibility, unclassified
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import vertical_part
+from p2wss.storage.las_crs import horizontal, vertical_part
 from p2wss.storage.log_lines import log
 
 # footprints whose points are read; those of plausibility.check are among as many

@@ -41,7 +41,9 @@ def with_valid_solids(
         # those with surfaces are known to be valid
         if reconstruction.mesh is not None and not reconstruction.surfaces:
             valid = filter(None, map(_as_valid_solid, chain([reconstruction], simpler(row))))
-            result[row] = next(valid, no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID))
+            result[row] = next(valid, None) or no_mesh(
+                buildings[row], reconstruction.method, reasons.INVALID_SOLID
+            )
     return result
 
 

@@ -42,8 +42,11 @@ def remove_leftovers(folder: Path) -> None:
                 continue
             with suppress(OSError):  # another process may be tidying too
                 age_s = time.time() - entry.stat(follow_symlinks=False).st_mtime
-                is_ours = match["host"] == _host()
-                if not is_running(int(match["process"])) if is_ours else age_s > _ABANDONED_S:
+                # of a process of another computer, only its age tells
+                is_left = age_s > _ABANDONED_S
+                if match["host"] == _host():
+                    is_left = not is_running(int(match["process"]))
+                if is_left:
                     if entry.is_dir(follow_symlinks=False):
                         shutil.rmtree(entry.path)
                     else:

@@ -22,12 +22,13 @@ from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops import real, simulated
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
-from p2wss.data.crs import check_crs, same_crs
+from p2wss.data.crs import check_crs
 from p2wss.data.tiling import tile_name
 from p2wss.footprints import cleaning
 from p2wss.scans import scan as scans
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
+from p2wss.storage.las_crs import same_crs
 from p2wss.storage.schemas.crops import CROPS
 
 DATA = SHARED / "data"

@@ -12,8 +12,7 @@ import pyproj
 import pytest
 
 from p2wss.clouds.reading import read_headers
-from p2wss.data.crs import same_crs
-from p2wss.storage.las_crs import stated_crs, unit_m
+from p2wss.storage.las_crs import same_crs, stated_crs, unit_m
 
 UTM, PLANE = "EPSG:26910", pyproj.CRS("EPSG:26910")
 FEET = "EPSG:26910+6360"

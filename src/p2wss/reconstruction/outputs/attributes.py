@@ -15,11 +15,11 @@ import pyproj
 import shapely
 
 from p2wss.data import reasons
-from p2wss.data.crs import horizontal
 from p2wss.reconstruction.outputs import measures
 from p2wss.reconstruction.registration.register import Registration
 from p2wss.reconstruction.result import Result
 from p2wss.storage.features import Features
+from p2wss.storage.las_crs import horizontal
 
 P2WSS, NAMES_3DBAG = "p2wss", "3dbag"
 # names of 3DBAG (https://docs.3dbag.nl/en/schema/attributes) for ours

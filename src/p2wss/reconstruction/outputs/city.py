@@ -12,7 +12,6 @@ from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 
 from p2wss import __version__, skeleton
-from p2wss.data.crs import horizontal
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Metadata, Solid
 from p2wss.mesh import Mesh
@@ -22,6 +21,7 @@ from p2wss.reconstruction.outputs.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG
 from p2wss.reconstruction.outputs.vegetation import Plant
 from p2wss.reconstruction.result import Result
 from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.storage.las_crs import horizontal
 from p2wss.storage.log_lines import first_of
 
 # as many clouds are named in the title

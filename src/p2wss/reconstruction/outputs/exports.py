@@ -304,8 +304,9 @@ def kept(results: Sequence[Result], config: Reconstruct) -> Sequence[Result]:
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:
     """The result with these columns of its footprint only; ["all"] for all."""
-    columns = {name: result.columns[name] for name in names if name in result.columns}
-    return result if "all" in names else replace(result, columns=columns)
+    if "all" in names:
+        return result
+    return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})
 
 
 def surface_materials(columns: Mapping[str, Any], config: Reconstruct) -> dict[str, str]:

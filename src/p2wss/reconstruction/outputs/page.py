@@ -13,7 +13,6 @@ import shapely
 from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.building import Reconstruction
-from p2wss.data.crs import horizontal
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.data.points import stride
 from p2wss.formats import viewer
@@ -24,6 +23,7 @@ from p2wss.reconstruction.outputs.attributes import attributes
 from p2wss.reconstruction.registration.register import summary as registration_summary
 from p2wss.reconstruction.result import Result, summary
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.las_crs import horizontal
 
 if TYPE_CHECKING:
     from p2wss.clouds.reading import Cloud

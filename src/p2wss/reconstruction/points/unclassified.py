@@ -7,6 +7,7 @@ airborne LIDAR data"). Buildings: points at least 2 m above the ground whose nei
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,11 +91,9 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     has_ground, has_buildings = (classes == GROUND_CLASS).any(), (classes == BUILDING_CLASS).any()
     if not has_ground:
         is_lowest = np.zeros(len(cloud), bool)
-        for tile in tiles(cloud.x_m, cloud.y_m, RULES.cell_m):
-            near = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, grown(tile, _TILE_MARGIN_M)))
-            x_m, y_m = cloud.x_m[near], cloud.y_m[near]
-            inside = in_window(x_m, y_m, tile)
-            is_lowest[near[inside]] = _lowest(x_m, y_m, cloud.z_m[near])[inside]
+        for near, inside in _with_surroundings(cloud):
+            lowest = _lowest(cloud.x_m[near], cloud.y_m[near], cloud.z_m[near])
+            is_lowest[near[inside]] = lowest[inside]
         may_be_ground = is_open(classes) & ~has_class(classes, PLANT_CLASSES)
         classes = np.where(may_be_ground & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
@@ -111,21 +110,17 @@ def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
     area of these in square metres). These are on planes 2 m above the ground, in areas at least 5 m wide of 40 m2 and
     more without points of the ground and of class building: neither trees nor trains and lorries are."""
     classes = cloud.classification
-    candidates = np.flatnonzero(
-        (classes <= UNCLASSIFIED_CLASS) & (cloud.z_m - ground_z_m(cloud) >= MIN_HEIGHT_M)
-    )
-    is_candidate, is_flat, is_missed = np.zeros((3, len(cloud)), bool)
-    is_candidate[candidates] = True
-    is_flat[candidates] = planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
+    is_high = (classes <= UNCLASSIFIED_CLASS) & (cloud.z_m - ground_z_m(cloud) >= MIN_HEIGHT_M)
+    is_flat, is_missed = np.zeros((2, len(cloud)), bool)
+    is_flat[is_high] = planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[is_high])
     is_taken = has_class(classes, (GROUND_CLASS, BUILDING_CLASS))
     area_m2 = 0.0
-    for tile in tiles(cloud.x_m, cloud.y_m, RULES.cell_m):
-        near = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, grown(tile, _TILE_MARGIN_M)))
+    for near, inside in _with_surroundings(cloud):
         row, column, shape = _cells(cloud.x_m[near], cloud.y_m[near])
         cell, size = row * shape[1] + column, shape[0] * shape[1]
         num_high, num_flat, num_taken = (
             np.bincount(cell, of_class[near], size).reshape(shape)
-            for of_class in (is_candidate, is_flat, is_taken)
+            for of_class in (is_high, is_flat, is_taken)
         )
         is_roof = (num_flat > 0) & (num_flat >= _FLAT_SHARE * num_high) & (num_taken == 0)
         is_roof |= scipy.ndimage.binary_closing(is_roof, np.ones((3, 3))) & (num_taken == 0)
@@ -133,7 +128,7 @@ def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
         area = scipy.ndimage.label(scipy.ndimage.binary_propagation(core, mask=is_roof))[0]
         is_large = np.bincount(area.ravel()) * RULES.cell_m**2 >= _MISSED_M2
         is_large[0] = False
-        own = in_window(cloud.x_m[near], cloud.y_m[near], tile) & is_large[area.ravel()[cell]]
+        own = inside & is_large[area.ravel()[cell]]
         is_missed[near[own]] = True
         area_m2 += len(np.unique(cell[own])) * RULES.cell_m**2
     return replace(cloud, classification=np.where(is_missed & is_flat, BUILDING_CLASS, classes)), area_m2
@@ -170,6 +165,13 @@ def tiles(x_m: np.ndarray, y_m: np.ndarray, cell_m: float) -> list[Bounds]:
     side_m = _TILE_CELLS * cell_m
     corner_m = np.unique(np.floor(np.column_stack([x_m, y_m]) / side_m), axis=0) * side_m
     return [(x, y, x + side_m, y + side_m) for x, y in corner_m.tolist()]
+
+
+def _with_surroundings(cloud: Cloud) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Of each tile (rows of the points in it and around it, which of these are inside)."""
+    for tile in tiles(cloud.x_m, cloud.y_m, RULES.cell_m):
+        near = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, grown(tile, _TILE_MARGIN_M)))
+        yield near, in_window(cloud.x_m[near], cloud.y_m[near], tile)
 
 
 def in_window(x_m: np.ndarray, y_m: np.ndarray, window: Bounds) -> np.ndarray:
