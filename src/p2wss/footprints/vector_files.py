@@ -114,7 +114,8 @@ def _read(
     )
     columns = dict(zip(meta["fields"].tolist(), values, strict=True))
     for dtype, (name, column) in zip(meta["dtypes"], columns.items(), strict=True):
-        if np.dtype(dtype).kind not in "biu" or column.dtype.kind != "f":
+        # the dtype of lists is none of numpy
+        if column.dtype.kind != "f" or np.dtype(dtype).kind not in "biu":
             continue
         is_known = ~np.isnan(column)
         exact = column[is_known]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import shutil
 import sqlite3
 import warnings
@@ -291,3 +292,15 @@ def test_whole_numbers_and_truths_beside_missing_ones_stay_what_they_are(tmp_pat
         list(map(type, values)) for values in columns.values()
     ]
     assert read_attributes(path, ("key",))[0]["key"].tolist() == columns["key"]
+
+
+def test_columns_of_lists_are_read(tmp_path: Path) -> None:
+    """As those of GeoJSON and GML, whose types numpy does not know."""
+    properties = [{"id": 1, "uses": ["barn", "house"], "floors": [2, 3]}, {"id": None, "uses": None}]
+    square = shapely.geometry.mapping(shapely.box(0, 0, 1, 1))
+    features = [{"type": "Feature", "properties": each, "geometry": square} for each in properties]
+    path = tmp_path / "f.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    columns = read_vector(path)[0].columns
+    assert columns["uses"][0].tolist() == ["barn", "house"] and columns["uses"][1] is None
+    assert columns["floors"][0].tolist() == [2, 3] and columns["id"].tolist() == [1, None]

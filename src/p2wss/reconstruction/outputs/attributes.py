@@ -170,8 +170,8 @@ def _as_in_3dbag(ours: dict[str, Any], result: Result, clouds: Sequence[str]) ->
 
 def _plain(value: Any) -> Any:
     """A value of a column as JSON has it."""
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
     if isinstance(value, float) and not np.isfinite(value):
         return None
     if value is None or isinstance(value, str | bool | int | float):
