@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import geopandas as gpd
+import laspy
 import numpy as np
 import pandas as pd
 import pytest
@@ -256,6 +257,27 @@ def test_columns_of_tables_of_points_are_found_by_their_names() -> None:
         _, cloud = open_clouds(table.assign(**classes))
         assert cloud is not None and cloud.classification.tolist() == expected
         assert np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m]).tolist() == [[1, 2, 3], [5, 6, 4]]
+
+
+def test_classes_of_points_in_memory_are_those_of_the_config() -> None:
+    """As of files: noise and what a producer's classes ignore do not count, and others are of what they say."""
+    cloud, config = (
+        gable_points(),
+        {"region": {"classes": {"preset": "custom", "building": [20], "ground": [2]}}},
+    )
+    expected = p2wss.reconstruct(cloud, footprints()[:1], model="none", progress=False)["a"].attributes
+    coded = np.where((np.arange(4) == 3) & (cloud == 6), 20, cloud)
+    noise = cloud[cloud[:, 3] == 6] + [0, 0, 9, 1]
+    with_noise = np.concatenate([coded, noise])
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.x, las.y, las.z, las.classification = with_noise.T
+    for given in (with_noise, las):
+        scene = p2wss.reconstruct(
+            given, footprints()[:1], model="none", progress=False, config=config, crs="EPSG:2154"
+        )
+        names = ("status", "num_points", "ground_source", "shift_source")
+        assert [scene["a"].attributes[name] for name in names] == [expected[name] for name in names]
+        assert abs(scene["a"].attributes["volume_m3"] - expected["volume_m3"]) < 2
 
 
 def test_wrong_roofs_and_clouds_are_one_line() -> None:

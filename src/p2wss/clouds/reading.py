@@ -60,6 +60,13 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.x_m)
 
+    def in_classes(self, classes: ClassSet) -> Cloud:
+        """The points that ``classes`` keep, with classes of LAS."""
+        classification, keep = classes.to_las(self.classification)
+        x_m, y_m, z_m = (values[keep] for values in (self.x_m, self.y_m, self.z_m))
+        day = None if self.day is None else self.day[keep]
+        return Cloud(x_m, y_m, z_m, classification[keep], self.crs, day, self.path)
+
     def in_metres(self, metric: MetricCrs) -> Cloud:
         """The cloud in the CRS of the run."""
         if metric.is_source:

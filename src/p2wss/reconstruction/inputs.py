@@ -97,7 +97,7 @@ class Inputs:
     def chunks(self, window: Bounds, classes: ClassSet) -> Iterator[Cloud]:
         """The points in a window of the run, in its CRS, about half a million at a time."""
         if self.points is not None:
-            yield self.points.in_metres(self.metric)
+            yield self.points.in_classes(classes).in_metres(self.metric)
             return
         window = self.metric.window_of_clouds(window)
         near = [header.path for header in self.headers if header.overlaps(window)]
@@ -275,6 +275,7 @@ def read_cloud(
     if points is None:
         chunks = reading.read_in_chunks([each.path for each in headers], None, classes)
         return reading.joined(chunks if metric is None else (each.in_metres(metric) for each in chunks))
+    points = points.in_classes(classes)
     return points if metric is None else points.in_metres(metric)
 
 
