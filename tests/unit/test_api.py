@@ -345,6 +345,25 @@ def test_a_scene_has_the_columns_that_its_files_have() -> None:
         assert "barn" not in scene.to_html()
 
 
+def test_columns_of_footprints_that_have_names_of_ours_are_kept(caplog: pytest.LogCaptureFixture) -> None:
+    """Such as the status of the Dutch register, or what an earlier run wrote."""
+    given = footprints()[:1].assign(status="in use", building_id="x", centre_x_m=7, overlapping_ids="b c")
+    for kept in ("all", "status"):
+        config = {"reconstruct": {"id_field": "id", "keep_columns": [kept]}}
+        with p2wss.reconstruct(gable_points(), given, config=config, model="none", progress=False) as scene:
+            values = scene["a"].attributes
+        own = {
+            "input_status": "in use",
+            "input_building_id": "x",
+            "centre_x_m": 7,
+            "input_overlapping_ids": "b c",
+        }
+        own = own if kept == "all" else {"input_status": "in use"}
+        assert {**values, **own} == values and values["status"] == "ok"
+        assert ("centre_x_m" in values) == (kept == "all")
+    assert "overlap" not in caplog.text
+
+
 def test_the_table_of_a_file_without_buildings(tmp_path: Path) -> None:
     path = tmp_path / "none.city.json"
     path.write_text(json.dumps({"type": "CityJSON", "version": "2.0", "CityObjects": {}, "vertices": []}))

@@ -18,7 +18,7 @@ from p2wss.data.crs import MetricCrs, reprojected
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
-from p2wss.footprints.overlaps import tell, without_overlaps
+from p2wss.footprints.overlaps import COLUMN, tell, without_overlaps
 from p2wss.footprints.schemas import building_ids, by_name, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import NO_POLYGONS, no_geometry, read_attributes, read_vector
 from p2wss.storage.errors import InputError
@@ -35,6 +35,10 @@ _TYPES_WITH_POLYGONS = [
 ]
 # footprints that touch themselves are cut apart with a gap of this width; cleaning would close a smaller one
 _OPENING_M = 0.15
+# columns that reading and cleaning add
+ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
+# what the names of the input's own columns begin with meanwhile, where they are those of ours
+OF_INPUT = "p2wss_input "
 # column of sets: the numbers of parts of a feature that would give them the id of another feature of its file
 _TAKEN = "p2wss_taken_part_numbers"
 _TOO_SMALL = skeleton.Status.TOO_SMALL.reason
@@ -51,7 +55,8 @@ def read_footprints(
     layer: str = "",
 ) -> Features:
     """Read a vector file with polygons, in the order of the file, or take those of a table, and add the columns
-    ``building_id`` (text), ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
+    ``building_id`` (text), ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up. The names of
+    its own columns that are those of ours, or of cleaning, begin with :data:`OF_INPUT`; one of these ids is not kept.
 
     id_field, schema: where the ids come from (:func:`p2wss.footprints.schemas.building_ids`); they do not depend on
     ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.footprints.schemas.
@@ -84,9 +89,15 @@ def read_footprints(
     all_ids = building_ids(*of_ids, columns, id_field, path)
     taken, by_number = taken_part_numbers(all_ids), dict(zip(of_ids[1].tolist(), all_ids, strict=True))
     ids = [by_number[each] for each in number.tolist()]
-    features = features.having(
+    height_m = stated_heights_m(features, columns, height_field, path)
+    of_input = {
+        f"{OF_INPUT}{name}" if name in (*ADDED_COLUMNS, COLUMN) else name: values
+        for name, values in features.columns.items()
+        if name != "building_id" or list(map(str, values.tolist())) != ids
+    }
+    features = replace(features, columns=of_input).having(
         building_id=np.array(ids, object),
-        stated_height_m=stated_heights_m(features, columns, height_field, path),
+        stated_height_m=height_m,
         **{_TAKEN: np.array([taken.get(name, set()) for name in ids], object)},
     )
     if metric is None:

@@ -20,6 +20,8 @@ from p2wss.data.building import Building, no_mesh
 from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import every_kth
+from p2wss.footprints.cleaning import ADDED_COLUMNS, OF_INPUT
+from p2wss.footprints.overlaps import COLUMN
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.network import Predictor
 from p2wss.reconstruction.outputs.attributes import attributes
@@ -37,8 +39,8 @@ from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
-# columns that reading and cleaning add to the input's own
-_ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m", LINES)
+# columns that are none of the input
+_ADDED_COLUMNS = (*ADDED_COLUMNS, LINES)
 # number of buildings that a network reconstructs together, as that is faster
 _NETWORK_BATCH = 256
 # points on the roofs around a building with few: enough to show planes
@@ -375,8 +377,16 @@ def input_columns(features: Features) -> list[dict[str, Any]]:
 
     features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds are left out.
     """
+    taken = {*features.columns, COLUMN} - {*_ADDED_COLUMNS}
+
+    def own(name: str) -> str:
+        result = name.removeprefix(OF_INPUT)
+        while result != name and result in taken:
+            result = f"input_{result}"
+        return result
+
     columns = {
-        name: [None if each != each else each for each in values.tolist()]
+        own(name): [None if each != each else each for each in values.tolist()]
         if values.dtype.kind == "f"
         else values.tolist()
         for name, values in features.columns.items()
