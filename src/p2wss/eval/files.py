@@ -139,21 +139,22 @@ def _solids(
 def _matched(
     solids: Sequence[ReadSolid], footprints: gpd.GeoSeries, id_field: str | None
 ) -> dict[str, ReadSolid]:
-    """The solid of each footprint that has one; solids without a known id that are of the same one are joined."""
-    matched: dict[str, ReadSolid] = {}
+    """The solid of each footprint that has one; several of the same one, as those of its parts, are joined."""
+    known: defaultdict[str, list[ReadSolid]] = defaultdict(list)
     unknown: defaultdict[str, list[ReadSolid]] = defaultdict(list)
     for solid in solids:
         if not len(solid.mesh.triangle):
             continue
         values = [solid.building_id, *(solid.attributes.get(name) for name in (id_field or "", *GENERIC.ids))]
-        known = [str(value) for value in values if str(value) in footprints.index]
-        if known:
-            matched[known[0]] = solid
+        ids = [str(value) for value in values if str(value) in footprints.index]
+        if ids:
+            known[ids[0]].append(solid)
         elif (nearest := _most_overlapped(solid, footprints)) is not None:
             unknown[nearest].append(solid)
-    for name, members in unknown.items():
-        matched.setdefault(name, replace(members[0], mesh=Mesh.joined([each.mesh for each in members])))
-    return matched
+    return {
+        name: replace(members[0], mesh=Mesh.joined([each.mesh for each in members]))
+        for name, members in (unknown | known).items()
+    }
 
 
 def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:

@@ -93,7 +93,10 @@ def test_buildings_without_a_known_id_are_those_of_the_footprints_that_they_over
     assert list(table["status"]) == list(by_id["status"])
     # two solids over one footprint are its mesh together
     pair = evaluate([box("x", -2.0), box("y", 3.0)], *place[:1], [place[1]])
-    assert pair["num_triangles"].iloc[0] == 24
+    # as those of its parts are, which have its id among their attributes
+    parts = [replace(box(name, east), attributes={"id": "a"}) for name, east in (("a-1", -2.0), ("a-2", 3.0))]
+    of_parts = evaluate(parts, *place[:1], [place[1]])
+    assert pair["num_triangles"].iloc[0] == of_parts["num_triangles"].iloc[0] == 24
 
 
 @pytest.mark.skipif(not JUDGE.is_file(), reason="no real data beside the checkout")
