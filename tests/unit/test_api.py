@@ -221,6 +221,13 @@ def test_buildings_are_chosen_by_ids_and_by_a_box() -> None:
     for scene in (by_id, by_box):
         assert list(scene) == ["b"]
         np.testing.assert_array_equal(scene["b"].mesh.vertices, whole["b"].mesh.vertices)
+    # parts of a footprint are of its id, but no footprints whose ids only look like that
+    parts = footprints().assign(id=["a", "a-1", "b"])
+    parts.loc[2, "geometry"] = shapely.MultiPolygon(
+        [shapely.box(100, 0, 110, 6), shapely.box(50, 20, 60, 26)]
+    )
+    assert list(p2wss.reconstruct(cloud, parts, ids=["a"], **options)) == ["a"]
+    assert list(p2wss.reconstruct(cloud, parts, ids=["b"], **options)) == ["b-1", "b-2"]
     with pytest.raises(p2wss.InputError, match="has no building nobody"):
         p2wss.reconstruct(cloud, footprints(), ids=["nobody"], **options)
     with pytest.raises(p2wss.InputError, match="is that in the CRS of the run"):

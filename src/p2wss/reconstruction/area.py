@@ -292,7 +292,9 @@ def chosen(
     """
     result = np.ones(len(features), bool)
     if ids is not None:
-        named = [{each, re.sub(r"-\d+$", "", each)} for each in features["building_id"].tolist()]
+        whole = set(features["building_id"].tolist())
+        # that of a footprint in parts is no id of a building
+        named = [{each, *({re.sub(r"-\d+$", "", each)} - whole)} for each in features["building_id"].tolist()]
         wanted, known = set(map(str, ids)), set().union(*named)
         if missing := [each for each in map(str, ids) if each not in known]:
             raise InputError(f"{name}: has no building {missing[0]}")
