@@ -217,12 +217,15 @@ def stl(bodies: Sequence[Body], frame: Frame) -> bytes:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """File names that differ on every file system, also on those that ignore case.
+    """File names that differ on every file system, also on those that ignore case, of which names may have 255 bytes.
 
     >>> file_names(["A/1", "a_1", "..", "Ö 2"])
     ['A_1', 'a_1-2', '_', 'Ö_2']
+    >>> len(file_names(["棟" * 90])[0].encode())
+    198
     """
-    return _distinct([re.sub(r"[^\w.-]", "_", name).strip(".")[:100] or "_" for name in names], str.lower)
+    words = [re.sub(r"[^\w.-]", "_", name).strip(".")[:100].encode()[:200] for name in names]
+    return _distinct([word.decode(errors="ignore") or "_" for word in words], str.lower)
 
 
 def _distinct(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
