@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cityjson_rules
@@ -115,6 +116,29 @@ def test_every_format_has_the_same_content(results: list[Result], tmp_path: Path
         # all with the origin of the tile
         second = trimesh.load_mesh(tmp_path / "out" / f"a_1-2{suffix}")
         assert second.bounds[0, 0] == pytest.approx(30, abs=1e-3)
+
+
+def test_columns_that_tables_have_no_type_for_are_text(results: list[Result], tmp_path: Path) -> None:
+    """A table of Python may have values of any types in one column, which cost the whole file; and numbers of cells
+    may have 64 bits without a sign, which lost their last digits."""
+    columns = {
+        "mixed": ["1", 2, None],
+        "cell": [2**63 + 5, 1, 2],
+        "flag": [True, 2, None],
+        "whole": [2**62 + 1, 1, 2],
+    }
+    rows = [
+        replace(result, columns={name: values[k] for name, values in columns.items()})
+        for k, result in enumerate(results)
+    ]
+    exports.write(tmp_path, "out", rows, LAMBERT, {}, Reconstruct(outputs=["gpkg", "geoparquet", "cityjson"]))
+    for table in (
+        gpd.read_file(tmp_path / "out.gpkg", layer="buildings"),
+        gpd.read_parquet(tmp_path / "out.parquet"),
+    ):
+        assert table["cell"].tolist() == ["9223372036854775813", "1", "2"]
+        assert table["mixed"].tolist()[:2] == ["1", "2"] and table["mixed"].isna().tolist()[2]
+        assert table["flag"].tolist()[:2] == ["True", "2"] and table["whole"].tolist() == columns["whole"]
 
 
 def test_materials_are_those_of_the_columns_or_of_the_settings(tmp_path: Path) -> None:

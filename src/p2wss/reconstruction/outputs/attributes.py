@@ -43,6 +43,8 @@ TO_3DBAG = {
     "slope_deg": "b3_hellingshoek",
     "azimuth_deg": "b3_azimut",
 }
+# of 64 bits
+_MAX_WHOLE = 2**63 - 1
 _LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple horizontal"}
 
 
@@ -207,10 +209,14 @@ def table(
 
 
 def _column(values: list[Any]) -> np.ndarray:
-    """Floats with NaN, or objects with None, for what is not known."""
+    """Floats with NaN, or objects with None, for what is not known. Values of several types, and whole numbers for
+    which tables have none, are text."""
     kinds = {type(value) for value in values}
-    if float in kinds and kinds <= {int, float, type(None)}:
+    known = kinds - {type(None)}
+    if float in known and known <= {int, float}:
         return np.array(values, float)
+    if len(known) > 1 or (known == {int} and max(abs(value or 0) for value in values) > _MAX_WHOLE):
+        return np.array([value if value is None else str(value) for value in values], object)
     return np.array(values, None if kinds in ({int}, {bool}) else object)
 
 
