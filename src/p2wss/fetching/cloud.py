@@ -20,6 +20,7 @@ from p2wss.storage.las_crs import crs_of
 from p2wss.storage.las_files import bounds_of, open_cloud
 
 _CHUNK_POINTS = 2_000_000
+_LAST_OLD_FORMAT = 5  # of LAS 1.3
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
 
 
@@ -54,8 +55,9 @@ def write_cloud(
     """Write the points of ``paths`` that are in ``bounds`` and in none of ``holes`` as one LAZ file.
 
     Of ``bounds`` and of each hole, the west and south edges belong to it and the others do not. The output
-    has the point format and scale of the first file. A single LAZ or COPC file that needs no cropping is
-    copied unchanged (link: as a hard link where the disk allows it, for files that nobody will change).
+    has the point format and scale of the first file, or of the first in a format of LAS 1.4, and the latest day on
+    which one was made. A single LAZ or COPC file that needs no cropping is copied unchanged (link: as a hard link
+    where the disk allows it, for files that nobody will change).
     Returns the number of points.
 
     Raises :class:`InputError` if a file is truncated or states a CRS that differs from ``crs``.
@@ -70,9 +72,15 @@ def write_cloud(
                 shutil.copyfile(paths[0], temporary)
                 append_checksum(temporary)
         return int(read_header(paths[0]).point_count)
-    first = read_header(paths[0])
+    headers = [read_header(path) for path in paths]
+    # older formats have no classes above 31
+    first = max(headers, key=lambda each: each.point_format.id > _LAST_OLD_FORMAT)
     header = laspy.LasHeader(version=first.version, point_format=first.point_format)
     header.scales, header.offsets = first.scales, first.offsets
+    header.global_encoding.gps_time_type = first.global_encoding.gps_time_type
+    # the day of points whose time does not state it
+    days = [each.creation_date for each in headers if each.creation_date is not None]
+    header.creation_date = max(days, default=header.creation_date)
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
     num_points = 0
     with (

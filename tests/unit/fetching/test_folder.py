@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -220,6 +221,32 @@ def test_another_cell_size_is_interpolated(tmp_path: Path) -> None:
     assert np.isfinite(error).mean() > 0.97
 
 
+def test_heights_are_in_metres_as_rasters_state_their_units(tmp_path: Path) -> None:
+    """A grid of whole centimetres, stated as unit or as scale, and an offset; not two units side by side."""
+    (tmp_path / "alone").mkdir()
+    for name, left, unit, scale in (
+        ("alone/a", 652000, "cm", 1.0),
+        ("alone/b", 652010, "cm", 1.0),
+        ("c", 652000, "", 0.01),
+    ):
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", width=10, height=10, count=1, dtype="int16",
+            crs="EPSG:2154", transform=from_origin(left, 6861010, 1, 1), nodata=-1,
+        ) as raster:  # fmt: skip
+            raster.write(np.where(np.eye(10), -1, 3250).astype(np.int16), 1)
+            raster.units, raster.scales, raster.offsets = [unit], [scale], [0.0 if unit else 5.0]
+    bounds = (652000.0, 6861000.0, 652020.0, 6861010.0)
+    terrain = source(dtm=tmp_path / "alone").dtm(bounds)
+    assert (
+        np.isnan(terrain.height_m).sum() == 20
+        and np.nanmin(terrain.height_m) == np.nanmax(terrain.height_m) == 32.5
+    )
+    assert np.nanmax(source(dtm=tmp_path / "c.tif").dtm(bounds).height_m) == 37.5
+    (tmp_path / "alone" / "a.tif").rename(tmp_path / "a.tif")
+    with pytest.raises(InputError, match=r"c\.tif: its heights have another unit.* than those of .*a\.tif"):
+        source(dtm=tmp_path).dtm(bounds)
+
+
 def test_terrain_in_another_crs(tmp_path: Path) -> None:
     with rasterio.open(
         tmp_path / "a.tif", "w", driver="GTiff", width=10, height=10, count=1, dtype="float32",
@@ -314,6 +341,32 @@ def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.asarray(cloud.y)[order], y[inside][expected], rtol=0, atol=1e-6)
     assert set(cloud.classification) == {6}
     assert cloud.header.parse_crs().to_epsg() == 2154
+
+
+def test_merged_clouds_keep_high_classes_flags_and_their_day(tmp_path: Path) -> None:
+    """Of a file in an old format and one in a new one: whichever is first, and whatever the day of the merging."""
+    for name, version, number, code, day in (("a", "1.2", 3, 6, 1), ("b", "1.4", 6, 65, 2)):
+        header = laspy.LasHeader(point_format=number, version=version)
+        header.scales, header.offsets, header.creation_date = (
+            [0.001] * 3,
+            [652000, 6861000, 0],
+            date(2012, 5, day),
+        )
+        cloud = laspy.LasData(header)
+        cloud.x, cloud.y, cloud.z = np.array([[652000.0 + day, 6861000.0, 1.0]] * 2).T
+        cloud.classification, cloud.withheld = np.array([code, 2], np.uint8), np.array([0, 1], np.uint8)
+        cloud.return_number, cloud.number_of_returns = np.full((2, 2), 3, np.uint8)
+        cloud.write(tmp_path / f"{name}.laz")
+    for names in ("ab", "ba"):
+        bounds = (651000.0, 6860000.0, 653000.0, 6862000.0)
+        assert (
+            write_cloud(tmp_path / "out.laz", [tmp_path / f"{n}.laz" for n in names], bounds, "EPSG:2154")
+            == 4
+        )
+        merged = laspy.read(tmp_path / "out.laz")
+        assert sorted(merged.classification) == [2, 2, 6, 65] and list(merged.withheld) == [0, 1, 0, 1]
+        assert set(merged.return_number) == set(merged.number_of_returns) == {3}
+        assert merged.header.creation_date == date(2012, 5, 2)
 
 
 def test_a_neighbour_that_only_shares_an_edge_is_not_read(tmp_path: Path) -> None:
