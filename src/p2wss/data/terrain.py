@@ -198,6 +198,13 @@ def read_terrain(
     return without_impossible(replace(part, height_m=heights), path), terrain_crs
 
 
+def height_scale(raster: rasterio.DatasetReader) -> tuple[float, float]:
+    """(scale, offset) with which values of the first band are heights in metres, by what a raster states."""
+    crs = None if raster.crs is None else pyproj.CRS.from_user_input(raster.crs)
+    length_m = _stated_unit_m(crs, raster.units[0] or "", raster.name) or 1.0
+    return raster.scales[0] * length_m, raster.offsets[0] * length_m
+
+
 def _stated_unit_m(crs: pyproj.CRS | None, band_unit: str, path: str | Path) -> float | None:
     """Length of the unit of heights that the band and the CRS of a raster state, the former if they differ."""
     of_band = UNITS_M.get(band_unit.strip().lower().replace("_", " ").removesuffix("."))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from rasterio.io import DatasetReader
 from p2wss.config import Folder
 from p2wss.data.crs import bounds_in_crs, check_crs, reprojected
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
-from p2wss.data.terrain import Terrain
+from p2wss.data.terrain import Terrain, height_scale
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import extent_of, read_header
 from p2wss.footprints.vector_files import decoded, layer_info, layers_of
@@ -139,10 +140,11 @@ def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
 def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
     """Heights from all rasters that intersect ``bounds``, on the grid of the first; NaN where none has data.
 
-    Rasters whose grids agree are copied, others are interpolated bilinearly. name: used in messages.
+    Rasters whose grids agree are copied, others are interpolated bilinearly. Heights become metres, as the rasters
+    state their unit, scale and offset. name: used in messages.
 
-    Raises :class:`InputError` if no file covers ``bounds``, or if one that does is unreadable or in another
-    CRS than ``crs``.
+    Raises :class:`InputError` if no file covers ``bounds``, or if one that does is unreadable, in another CRS than
+    ``crs``, or in another unit than the others.
     """
     rasters: list[DatasetReader] = []
     with ExitStack() as stack:
@@ -157,7 +159,12 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
         if not rasters:
             raise InputError(f"{name}: none of its {len(files)} files covers {bounds_text(bounds)}")
         _warn_of_gaps([raster.bounds for raster in rasters], bounds, name)
-        return _merged(rasters, bounds)
+        paths = {height_scale(raster): raster.name for raster in reversed(rasters)}
+        if len(paths) > 1:
+            *_, other, first = paths.values()
+            raise InputError(f"{other}: its heights have another unit, scale or offset than those of {first}")
+        terrain, ((scale, offset),) = _merged(rasters, bounds), paths
+        return replace(terrain, height_m=terrain.height_m * np.float32(scale) + np.float32(offset))
 
 
 def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
