@@ -37,7 +37,7 @@ from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.las_crs import UNKNOWN, placed, unit_m, with_heights
+from p2wss.storage.las_crs import UNKNOWN, placed, stated_crs, unit_m, with_heights
 from p2wss.storage.log_lines import first_of, log
 
 if TYPE_CHECKING:
@@ -377,14 +377,18 @@ def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]
     """The headers of files, or that of points in memory and these; a warning says what is wrong with the CRS of
     files."""
     files = [cloud] if isinstance(cloud, str | Path) else cloud
+    points: Cloud | None = None
     if isinstance(files, list | tuple) and files and all(isinstance(each, str | Path) for each in files):
         headers = reading.read_headers(reading.list_clouds([Path(path) for path in files]))
-        for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
-            log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
-        return headers, None
-    points = _in_memory(cloud)
-    bounds = bounds_of_points(points.x_m, points.y_m)
-    return [CloudHeader(_CLOUD, len(points), points.crs, bounds)], points
+    else:
+        points = _in_memory(cloud)
+        # an empty one states nothing
+        stated = stated_crs(cloud.header if isinstance(cloud, laspy.LasData) else laspy.LasHeader())
+        bounds = bounds_of_points(points.x_m, points.y_m)
+        headers = [CloudHeader(_CLOUD, len(points), points.crs, bounds, stated.heights, stated.doubts)]
+    for doubt in dict.fromkeys(doubt for each in headers for doubt in each.doubts):
+        log.warning("warning: %s: %s", next(each.path for each in headers if doubt in each.doubts), doubt)
+    return headers, points
 
 
 def _in_memory(cloud: CloudInput) -> Cloud:

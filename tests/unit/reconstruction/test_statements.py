@@ -271,6 +271,15 @@ def test_stated_feet_are_doubted_where_houses_are_low(
     assert "houses are 1.96 m high, as if heights were in m; state reconstruct.height_unit m" in caplog.text
 
 
+def test_heights_stated_alone_count_of_points_in_memory_too(tmp_path: Path) -> None:
+    """As of their file, without a CRS: feet were taken for metres."""
+    stated = houses.header(keys={4099: 9003})
+    path = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=houses.SURVEY_FOOT_M, stated=stated)
+    of_file, of_points = (built(cloud, houses.footprints(UTM)) for cloud in (path, laspy.read(path)))
+    assert_right(of_points)
+    assert of_file == of_points
+
+
 @pytest.mark.parametrize(("unit_m", "height_m"), [(1e9, "0.00"), (-1.0, "-6.")])
 def test_points_without_heights_and_depths_are_doubted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, unit_m: float, height_m: str
