@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -17,6 +18,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.log_lines import log
 
 _KIND = {
     "GroundSurface": FaceKind.GROUND,
@@ -50,7 +52,7 @@ def read(path: str | Path) -> list[ReadSolid]:
 
 def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
     """(every building and plant of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2,
-    parts joined; the CRS that the file states, if any).
+    parts joined, the last of those of one id; the CRS that the file states, if any).
 
     Raises :class:`InputError` if the file is missing or not CityJSON.
     """
@@ -59,8 +61,16 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
     with reading(path, "CityJSON"):
         for document in documents:
             solids += _buildings(*_content(document, documents[0], scale, translate))
+        by_id = {(each.building_id, each.is_building): each for each in solids}
+        if len(by_id) < len(solids):
+            ((repeated, _),) = Counter(each.building_id for each in solids).most_common(1)
+            log.warning(
+                "warning: %s: id %s occurs more than once; the last of such buildings is taken",
+                path,
+                repeated,
+            )
         stated = documents[0].get("metadata", {}).get("referenceSystem")
-        return solids, None if stated is None else pyproj.CRS.from_user_input(stated)
+        return list(by_id.values()), None if stated is None else pyproj.CRS.from_user_input(stated)
 
 
 @dataclass(frozen=True)
@@ -128,6 +138,12 @@ def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.n
     objects = [document for document in documents if isinstance(document, dict)]
     if not objects or len(objects) < len(documents) or objects[0].get("type") != "CityJSON":
         raise InputError(f"{path}: not CityJSON: the first object must have the type CityJSON")
+    transforms = [each.get("transform") for each in objects if each.get("type") == "CityJSON"]
+    if any(each != transforms[0] for each in transforms):
+        raise InputError(
+            f"{path}: has several headers whose transforms differ, as of files that were put together; read each"
+            " of these alone"
+        )
     with reading(path, "CityJSON"):
         transform = objects[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
         scale = np.array(transform["scale"], float).reshape(3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -324,3 +325,21 @@ def test_text_with_what_python_takes_for_the_end_of_a_line_is_read(tmp_path: Pat
     path = tmp_path / "x.city.jsonl"
     path.write_text("\n".join(cityjson.lines(solids, cityjson.Metadata())), encoding="utf-8")
     assert [each.attributes["name"] for each in cityjson_read.read(path)] == [name, name]
+
+
+def test_files_that_were_put_together_are_refused_where_their_places_differ(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Vertices of all would be read by the header of the first; of one id, one building counts, with a warning."""
+    solid, path = solid_of("flat")[0], tmp_path / "x.city.jsonl"
+    other = replace(solid, building_id="other", vertex_m=solid.vertex_m + np.array([500, 0, 0]))
+
+    def joined(*files: list[Solid]) -> str:
+        return "\n".join(line for each in files for line in cityjson.lines(each, cityjson.Metadata(2154)))
+
+    path.write_text(joined([solid], [other]))
+    with pytest.raises(InputError, match=r"x\.city\.jsonl: has several headers whose transforms differ"):
+        cityjson_read.read(path)
+    path.write_text(joined([solid, other], [replace(solid, attributes={"status": "flat"})]))
+    assert [each.attributes["status"] for each in cityjson_read.read(path)] == ["flat", "ok"]
+    assert "id flat occurs more than once" in caplog.text
