@@ -21,6 +21,11 @@ from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 
+# as p2wss.formats.materials knows them
+_MATERIALS = {
+    "materiaux_des_murs": ("materiaux_des_murs", "MAT_MURS"),
+    "materiaux_de_la_toiture": ("materiaux_de_la_toiture", "MAT_TOITS"),
+}
 # our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
 SPELLINGS = {
     "building_id": ("cleabs", "ID"),
@@ -30,9 +35,10 @@ SPELLINGS = {
     "num_floors": ("nombre_d_etages", "NB_ETAGES"),
     "altitude_minimale_sol_m": ("altitude_minimale_sol", "Z_MIN_SOL"),
     "altitude_minimale_toit_m": ("altitude_minimale_toit", "Z_MIN_TOIT"),
+    **_MATERIALS,
 }
 REQUIRED = ("building_id", "hauteur_m")
-TEXT = ("building_id", "nature", "usage")
+TEXT = ("building_id", "nature", "usage", *_MATERIALS)
 
 
 def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtopo") -> gpd.GeoDataFrame:
@@ -73,7 +79,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
 
 
 def _as_in_bdtopo(frame: gpd.GeoDataFrame, schema: str, name: str) -> gpd.GeoDataFrame:
-    """The ids, heights and floors of footprints of another schema under BD TOPO's names.
+    """The ids, heights, floors and materials of footprints of another schema under BD TOPO's names.
 
     Features with the id and the geometry of another one, as at the seams of files, are dropped.
     """
@@ -89,6 +95,10 @@ def _as_in_bdtopo(frame: gpd.GeoDataFrame, schema: str, name: str) -> gpd.GeoDat
         "hauteur": stated_heights_m(features, replace(columns, floors=()), None, name),
         "nombre_d_etages": stated_heights_m(features, FootprintSchema((), (), columns.floors), None, name),
     }
+    materials = [
+        by_name[each.lower()] for names in _MATERIALS.values() for each in names if each.lower() in by_name
+    ]
+    result |= {column: features[column] for column in materials}
     return gpd.GeoDataFrame(result, geometry=frame.geometry.to_numpy(), crs=frame.crs)
 
 

@@ -78,7 +78,8 @@ GENERIC = FootprintSchema(
     (),
     ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid"),
     ("height", "height_m", "hauteur", "hauteur_m", "hoogte", "building_height"),
-    (),
+    # of what p2wss fetches
+    (("altitude_minimale_toit_m", "altitude_minimale_sol_m"),),
     ("num_floors", "nombre_d_etages", "levels", "floors"),
 )
 

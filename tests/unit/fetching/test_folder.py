@@ -22,6 +22,8 @@ from p2wss.fetching.bdtopo import normalise, write_footprints
 from p2wss.fetching.cloud import write_cloud
 from p2wss.fetching.folder import FolderSource, mosaic
 from p2wss.fetching.source import known_height_share
+from p2wss.footprints.cleaning import read_footprints
+from p2wss.formats.materials import materials_of
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError
 
@@ -57,6 +59,8 @@ def test_window_of_the_miniature() -> None:
         "num_floors",
         "altitude_minimale_sol_m",
         "altitude_minimale_toit_m",
+        "materiaux_des_murs",
+        "materiaux_de_la_toiture",
         "geometry",
     ]
     assert set(result.geom_type) == {"MultiPolygon"}
@@ -488,6 +492,24 @@ def test_footprints_of_other_schemas(tmp_path: Path, caplog: pytest.LogCaptureFi
         assert result["num_floors"].to_list() == pytest.approx([np.nan, np.nan, 2, np.nan, 3], nan_ok=True)
         assert list(result.columns) == list(normalise(buildings(), "EPSG:2154", "x").columns[1:])
     assert "f: id column id: a occurs more than once" in caplog.text
+
+
+@pytest.mark.parametrize("schema", ["bdtopo", "auto"])
+@pytest.mark.parametrize(
+    "names", [("materiaux_des_murs", "materiaux_de_la_toiture"), ("MAT_MURS", "MAT_TOITS")]
+)
+def test_materials_and_heights_of_buildings_reach_the_reconstruction(
+    schema: str, names: tuple[str, str], tmp_path: Path
+) -> None:
+    """What IGN states of walls, roofs and eaves serves the scene of a place, as it serves a run on its files."""
+    stated = {names[0]: ["40", None], names[1]: ["20", "99"], "hauteur": [np.nan, 3.0]}
+    eaves = {"altitude_minimale_toit": [57.5, 60.0], "altitude_minimale_sol": [50.0, 50.0]}
+    frame = normalise(buildings(2, **stated, **eaves), "EPSG:2154", "f", schema)
+    write_footprints(tmp_path / "f.gpkg", frame, {})
+    features = read_footprints(tmp_path / "f.gpkg", needs_crs=True)
+    rows = [{name: values[k] for name, values in features.columns.items()} for k in range(2)]
+    assert list(map(materials_of, rows)) == [{"wall": "brick", "roof": "slate"}, {}]
+    assert features["stated_height_m"].tolist() == [7.5, 3.0]
 
 
 def test_footprints_without_ids_of_several_files(tmp_path: Path) -> None:

@@ -92,6 +92,7 @@ def test_a_feature_of_the_real_service(source: Any, httpserver: HTTPServer) -> N
     row = normalise(footprints, "EPSG:4326", "wfs").iloc[0]
     assert (row.building_id, row.hauteur_m, row.num_floors) == ("BATIMENT0000000240879442", 25.6, 6)
     assert (row.altitude_minimale_sol_m, row.altitude_minimale_toit_m) == (213.1, 238.6)
+    assert (row.materiaux_des_murs, row.materiaux_de_la_toiture) == ("20", "10")
     assert row.nature == "Indifférenciée"
     assert not row.geometry.has_z
 
