@@ -7,7 +7,9 @@ from p2wss.storage.schemas.columns import field
 WEDGES = pa.schema(
     [
         field(
-            "skin", pa.int32(), "number of the skin: that of its mesh among the mesh files' meshes, from 0"
+            "skin",
+            pa.int32(),
+            "number of the skin, from 0: with --skin that of its mesh among those of mesh files",
         ),
         *(
             field(f"{axis}{end}_m", pa.float64(), f"{axis} of end {end} in the CRS of the files")
