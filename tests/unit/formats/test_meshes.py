@@ -21,6 +21,7 @@ from p2wss.formats.meshes import (
     Body,
     BuildingRef,
     Frame,
+    file_names,
     frame_around,
     mtl,
     obj,
@@ -297,3 +298,9 @@ def test_a_crs_of_several_lines_is_one_in_files(meshes: list[Body]) -> None:
     lines = obj(meshes, frame).decode().splitlines()
     assert {line.split(" ")[0] for line in lines} == {"#", "o", "v", "f"}
     assert b'comment crs LOCAL["a", UNIT["m",1]]\n' in ply(meshes, frame)
+
+
+def test_names_of_files_have_as_many_bytes_as_file_systems_allow() -> None:
+    """Characters of other scripts have three bytes or more: an id of 90 ended a run with --per-building."""
+    first, second = file_names(["棟" * 90, "棟" * 90 + "b"])
+    assert first == "棟" * 66 and second == first + "-2"
