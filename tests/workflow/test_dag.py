@@ -126,6 +126,22 @@ def test_several_processes_of_the_config_or_a_profile_start_torchrun(fresh, seve
     assert "num_gpus" not in "".join(commands)
 
 
+def test_a_training_gets_the_files_that_it_reads_and_no_weights_that_replace_one(project):
+    """Each variant, too; every shard, as the manifest lists none that is not there."""
+    for name in ("start.safetensors", "weights.safetensors"):
+        (project.folder / name).touch()
+    start = {"start": "start.safetensors"}
+    overrides = [start, start | {"weights": "weights.safetensors"}]
+    arguments = [["ablation", "model", "--config", f"model={json.dumps(each)}"] for each in overrides]
+    runs = project.dry_runs(arguments)
+    inputs = re.findall(r"^rule (ablation_model|ablation|model):\n    input: (.*)$", output_of(runs[0]), re.M)
+    assert {rule for rule, _ in inputs} == {"ablation_model", "ablation", "model"}
+    assert all("crops/real/0653_6861.parquet" in files for _, files in inputs)
+    assert all(("start.safetensors" in files) == (rule != "ablation") for rule, files in inputs)
+    before, after = (sorted(words for words in commands_of(run) if words[0] == "model") for run in runs)
+    assert len(before) > 2 and before == after
+
+
 def test_all_tiles_are_planned_without_the_checkpoint(fresh):
     everything = "region={tiles: [all], lidar_tiles: [all], bounds_m: [652000, 6860000, 654000, 6862000]}"
     jobs = rules_to_run(fresh.dry_run("--config", everything))

@@ -10,7 +10,9 @@ rule ablation_model:
     input:
         manifest="<results>/crops/manifest.json",
         simulated=simulated_shards,
+        real=real_shards,
         dvae="<results>/dvae/model.safetensors",
+        start=lambda wildcards: start_of(configs.ablated(settings, wildcards.variant).model),
     output:
         weights="<results>/ablation/{variant}/model.safetensors",
         metrics="<results>/ablation/{variant}/metrics.jsonl",
@@ -39,6 +41,7 @@ rule ablation:
     input:
         manifest="<results>/crops/manifest.json",
         simulated=simulated_shards,
+        real=real_shards,
         models=expand(
             "<results>/ablation/{variant}/model.safetensors", variant=list(settings.ablation.variants)
         ),

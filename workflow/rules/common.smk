@@ -63,6 +63,8 @@ def section(*names, without=()):
 
 # how many processes train: the networks depend on it through rounding only
 RULE_ONLY = ("compute.num_gpus",)
+# of section model: weights from elsewhere are used in place of a training, which does not depend on them
+NOT_OF_TRAINING = ("weights", *RULE_ONLY)
 
 
 def program(section):
@@ -82,7 +84,12 @@ def program(section):
 
 def variant_section(wildcards):
     """The section of a model of the ablation."""
-    return configs.section_json(configs.ablated(settings, wildcards.variant), "model", without=RULE_ONLY)
+    return configs.section_json(configs.ablated(settings, wildcards.variant), "model", without=NOT_OF_TRAINING)
+
+
+def start_of(model):
+    """The weights that a training starts from, if any: a file of the user, wherever results are stored."""
+    return local(model.start) if model.start else []
 
 
 # no tile depends on which other tiles are processed: neither its rules run again when a tile is added, nor are

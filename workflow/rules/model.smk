@@ -11,7 +11,7 @@ rule model:
         simulated=simulated_shards,
         real=real_shards,
         dvae="<results>/dvae/model.safetensors",
-        start=settings.model.start or [],
+        start=start_of(settings.model),
     output:
         weights="<results>/model/model.safetensors",
         metrics="<results>/model/metrics.jsonl",
@@ -26,7 +26,7 @@ rule model:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
         runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
-        config=section("model", without=("weights", *RULE_ONLY)),
+        config=section("model", without=NOT_OF_TRAINING),
         code=fingerprint("training.model"),
         folder=subpath(output.weights, parent=True),
         program=program(settings.model),
