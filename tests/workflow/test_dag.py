@@ -220,6 +220,28 @@ def test_settings_of_roofer_change_the_command_of_its_baseline_only(fresh):
     assert [command[:4] == roofer for command in changed if command[:2] != ["eval", "report"]] == [True]
 
 
+def test_a_setting_changes_the_commands_that_read_it_only(fresh):
+    values = {
+        "eval": {"num_samples": 7},
+        "crops": {"min_points": 30},
+        "region": {"classes": {"preset": "ahn"}},
+    }
+    runs = [["all"], *(["all", "--config", f"{name}={json.dumps(of)}"] for name, of in values.items())]
+    before, *after = (commands_of(run) for run in fresh.dry_runs(runs))
+    changed = [{" ".join(words[:2]) for words in each if words not in before} for each in after]
+    by_setting = dict(zip(values, ({each.split(" --")[0] for each in of} for of in changed), strict=True))
+    assert by_setting == {
+        "eval": {"eval measure", "eval report"},
+        "crops": {"crops simulated", "crops real", "crops manifest"},
+        "region": {
+            "crops real",
+            "eval report",
+            "fetch prepare",
+            "reconstruct results/mini/fetch/lidar/0653_6861.laz",
+        },
+    }
+
+
 def test_rules_get_the_settings_that_they_read(fresh):
     limits = ["reconstruct={not_representable_m: 0.5}", "buildings={max_roof_height_m: 50}"]
     by_name = {" ".join(words[:2]): words for words in commands_of(fresh.dry_run("--config", *limits))}

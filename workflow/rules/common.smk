@@ -96,18 +96,7 @@ def start_of(model):
 # thousands of names part of each command
 TILE_LISTS = configs.TILE_LISTS
 EVERY_TILE_LIST = (*TILE_LISTS, *(f"members.*.region.{name}" for name in TILE_LISTS))
-# what only readers of real clouds depend on: neither footprints, terrain and downloads nor scenes
-OF_CLOUDS = ("classes", "members.*.region.classes")
-# settings that only the report or the rules read: no mesh depends on them
-REPORT_ONLY = ("attribution", "lidar_name", "num_resamples", "num_worst", "shards_per_job")
-# settings that only the baseline roofer reads
-ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_timeout_s")
-
-
-def method_section(wildcards):
-    """The settings of a method: those of Roofer are of one only."""
-    without = REPORT_ONLY if wildcards.method == "roofer" else REPORT_ONLY + ROOFER_ONLY
-    return section("eval", "reconstruct", without=without)(wildcards)
+OF_CLOUDS = configs.OF_CLOUDS
 
 
 def roofer_state(wildcards):

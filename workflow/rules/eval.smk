@@ -59,7 +59,7 @@ rule eval_reconstruct:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
         runtime=lambda wildcards, attempt: 480 * attempt,
     params:
-        config=method_section,
+        config=lambda wildcards: configs.method_json(settings, wildcards.method),
         code=fingerprint("eval.methods", "nets.predictor", "weights"),
         state=roofer_state,
         model=lambda wildcards, input: ["--model", input.model] if input.model else [],
@@ -86,7 +86,7 @@ rule measure:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
         runtime=lambda wildcards, attempt: 240 * attempt,
     params:
-        config=section("eval", "buildings", without=REPORT_ONLY + ROOFER_ONLY),
+        config=lambda wildcards: configs.measure_json(settings),
         code=fingerprint("eval.measure"),
     shell:
         "p2wss eval measure --manifest {input.manifest:q} --shards {input.shards:q} --reconstructions {input.reconstructions:q}"

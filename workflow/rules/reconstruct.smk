@@ -29,7 +29,7 @@ rule reconstruct_tile:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
         runtime=lambda wildcards, attempt: 240 * attempt,
     params:
-        config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
+        config=section("region", "scenes", "reconstruct", without=TILE_LISTS),
         code=fingerprint("reconstruction", "formats.templates", "formats.assets", "weights"),
         folder=subpath(output.summary, parent=True),
     shell:

@@ -17,7 +17,7 @@ from p2wss.cli.common import (
     threads_option,
 )
 from p2wss.cli.parser import Group, file_option, option
-from p2wss.config import Config, DeviceName, section_json
+from p2wss.config import Config, DeviceName, measure_json, method_json
 from p2wss.nets.threads import set_num_threads
 from p2wss.storage import files
 from p2wss.storage.provenance import fingerprint
@@ -103,7 +103,7 @@ def eval_reconstruct(
             status += [row.status for row in rows]
         if method == "roofer":
             facts |= roofer_command.facts(config.eval, bool(status))
-        writer.metadata = _facts(config, **facts)
+        writer.metadata = _facts(method_json(config, method), **facts)
     log_status_counts(out, status)
 
 
@@ -123,7 +123,7 @@ def eval_measure(
     from p2wss.eval.reconstructions import read_reconstructions
     from p2wss.storage.schemas.measures import MEASURES
 
-    num_rows, of_methods = 0, [files.read_metadata(path) for path in reconstructions]
+    num_rows, of_files = 0, [files.read_metadata(path) for path in reconstructions]
     with files.table_writer(out, MEASURES) as writer:
         for of_shard in test_cases(read_manifest(manifest, shards or None)):
             keys = [case.key for case in of_shard]
@@ -131,7 +131,8 @@ def eval_measure(
                 rows = list(measure(of_shard, read_reconstructions(path, keys), config))
                 writer.append({name: [row[name] for row in rows] for name in MEASURES.names})
                 num_rows += len(rows)
-        writer.metadata = _facts(config, methods={str(facts["method"]): facts for facts in of_methods})
+        of_methods = {str(facts["method"]): facts for facts in of_files}
+        writer.metadata = _facts(measure_json(config), methods=of_methods)
     log.info("%s: %d rows", out, num_rows)
 
 
@@ -170,6 +171,5 @@ def eval_report(manifest: Path, out: Path, config: Config, **inputs: tuple[Path,
     log.info("%s", out / "report.html")
 
 
-def _facts(config: Config, **facts: Any) -> dict[str, Any]:
-    settings = section_json(config, "buildings", "eval", "reconstruct")
+def _facts(settings: str, **facts: Any) -> dict[str, Any]:
     return files.provenance(config=settings, code=fingerprint("eval"), **facts)

@@ -9,7 +9,7 @@ import click
 
 from p2wss.cli.common import bounds_of_tile, config_option, log, tile_option
 from p2wss.cli.parser import Group, Names, file_option, option
-from p2wss.config import ALL, TILE_LISTS, Config, load, section_json
+from p2wss.config import ALL, OF_CLOUDS, TILE_LISTS, Config, load, section_json
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.provenance import fingerprint
@@ -186,6 +186,7 @@ def _provenance(config: Config) -> dict[str, Any]:
     return files.provenance(
         vintage=config.region.vintage,
         crs=config.region.crs,
-        config=section_json(config, "region", "fetch", without=TILE_LISTS),
+        # without what only clouds depend on, which state no provenance
+        config=section_json(config, "region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare")),
         code=fingerprint("fetching"),
     )

@@ -9,7 +9,7 @@ import click
 
 from p2wss.cli.common import bounds_of_tile, config_option, log, log_status_counts, place_option, tile_option
 from p2wss.cli.parser import Group, file_option
-from p2wss.config import TILE_LISTS, Config, member_places, place_config, section_json
+from p2wss.config import OF_CLOUDS, TILE_LISTS, Config, member_places, place_config, section_json
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError
@@ -90,7 +90,7 @@ def scenes_cut(
         tile_size_m=tile_size_m,
         margin_m=margin_m,
         crs=config.region.crs,
-        config=section_json(config, "region", "scenes", without=TILE_LISTS),
+        config=section_json(config, "region", "scenes", without=(*TILE_LISTS, *OF_CLOUDS)),
         code=fingerprint("scenes.cut"),
         num_by_status=dict(sorted(Counter(scene["status"][scene["in_tile"]]).items())),
     )

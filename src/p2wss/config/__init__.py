@@ -12,7 +12,7 @@ from p2wss.config.dataset import Dataset, Member
 from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import IGN, Fetch, Folder, Geoplateforme, Prepare
-from p2wss.config.load import as_config, load, section_json
+from p2wss.config.load import as_config, load, measure_json, method_json, section_json
 from p2wss.config.model import Augmentation, Decoding, LossWeights, Masking, Model, ModelOptimiser
 from p2wss.config.places import (
     PLACE_PATTERN,
@@ -32,7 +32,7 @@ from p2wss.config.reconstruct import (
     Reconstruct,
     SchemaName,
 )
-from p2wss.config.region import ALL, CLASSES_ALONE, TILE_LISTS, Classes, ClassPreset, Region
+from p2wss.config.region import ALL, CLASSES_ALONE, OF_CLOUDS, TILE_LISTS, Classes, ClassPreset, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
 from p2wss.config.sections import Config, ablated
@@ -43,6 +43,7 @@ __all__ = [
     "CLASSES_ALONE",
     "ERRORS_SUFFIX",
     "IGN",
+    "OF_CLOUDS",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",
     "TABLES_AND_MODELS",
@@ -87,8 +88,10 @@ __all__ = [
     "dataset_name",
     "draw_places",
     "load",
+    "measure_json",
     "member_place",
     "member_places",
+    "method_json",
     "place_config",
     "section_json",
 ]

@@ -8,6 +8,13 @@ from pydantic import Field
 
 from p2wss.config.base import Section
 
+# settings that only the rules and the report read, that only the baseline roofer reads, and that only measures read
+_REPORT_ONLY = ("attribution", "baselines", "lidar_name", "num_resamples", "num_worst", "shards_per_job")
+_ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_timeout_s")
+_MEASURES_ONLY = ("max_num_points", "num_samples", "seed")
+NOT_OF_ROOFER = _REPORT_ONLY + _MEASURES_ONLY
+NOT_OF_MEASURES = _REPORT_ONLY + _ROOFER_ONLY
+
 
 class Eval(Section):
     """Stage eval: Tables 1 and 2 of the paper, and the report."""

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from p2wss.config.base import merge
+from p2wss.config.eval import NOT_OF_MEASURES, NOT_OF_ROOFER
 from p2wss.config.sections import Config
 from p2wss.storage.errors import InputError, reading
 
@@ -59,6 +60,18 @@ def section_json(config: Config, *names: str, without: Collection[str] = ()) -> 
         level[last] = True
     sections = {name: getattr(config, name).model_dump(mode="json", exclude=exclude) for name in names}
     return json.dumps(sections, sort_keys=True)
+
+
+def method_json(config: Config, method: str) -> str:
+    """The settings that a method of the evaluation reads, as :func:`section_json` gives them."""
+    if method == "roofer":
+        return section_json(config, "eval", without=NOT_OF_ROOFER)
+    return section_json(config, "reconstruct")
+
+
+def measure_json(config: Config) -> str:
+    """The settings that the measures of the evaluation read."""
+    return section_json(config, "buildings", "eval", without=NOT_OF_MEASURES)
 
 
 def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:

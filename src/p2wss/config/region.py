@@ -13,6 +13,8 @@ from p2wss.config.base import Section
 ALL = "all"
 # what no tile depends on: which other tiles are processed
 TILE_LISTS = ("tiles", "lidar_tiles")
+# what only readers of real clouds depend on: neither footprints, terrain and downloads nor scenes
+OF_CLOUDS = ("classes", "members.*.region.classes")
 # to leave out of the section where only the classes of the clouds matter: a run on files of a user's own
 CLASSES_ALONE = (*TILE_LISTS, "name", "vintage", "crs", "bounds_m", "tile_size_m")
 # France in tiles of 1 km fills a square of about a million

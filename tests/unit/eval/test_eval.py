@@ -395,6 +395,19 @@ def test_groups_of_shards_give_the_same_tables_as_all_shards_at_once(
         assert at_once == by_shard, name
 
 
+def test_results_state_the_settings_that_they_depend_on_and_no_others(whole: list[Path]) -> None:
+    """The workflow passes no others to a command, which knows of them the defaults alone."""
+    facts = files.read_metadata(whole[0] / "measures.parquet")
+    of_roofer, of_fit = (json.loads(facts["methods"][name]["config"]) for name in ("roofer", "fit"))
+    assert set(of_fit) == {"reconstruct"}
+    assert {name: set(of) for name, of in of_roofer.items()} == {
+        "eval": {"roofer_command", "roofer_recorded", "roofer_timeout_s"}
+    }
+    stated = json.loads(facts["config"])
+    assert set(stated) == {"buildings", "eval"}
+    assert stated["eval"] == {"max_num_points": 2048, "num_samples": 200, "seed": 0}
+
+
 @pytest.mark.usefixtures("true_weights")
 def test_a_group_without_a_test_building_changes_nothing(hamlet: Path, tmp_path: Path) -> None:
     rows = files.read_table(hamlet.parent / "a.parquet", CROPS).to_pylist()
