@@ -84,7 +84,9 @@ def program(section):
 
 def variant_section(wildcards):
     """The section of a model of the ablation."""
-    return configs.section_json(configs.ablated(settings, wildcards.variant), "model", without=NOT_OF_TRAINING)
+    return configs.section_json(
+        configs.ablated(settings, wildcards.variant), "model", without=NOT_OF_TRAINING
+    )
 
 
 def start_of(model):
