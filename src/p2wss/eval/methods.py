@@ -99,6 +99,8 @@ def _masked(cases: Sequence[Case], predictor: MaskedPredictor, config: Reconstru
     for method in MASKED:
         readings = predictor.reconstruct_all_masked(clouds_m, footprints_m, method == MASKED[0])
         for building, height_m, xy_m, angle_deg in zip(buildings, *readings, strict=True):
-            row = no_mesh(building, method, "ok")
-            result.append(replace(row, rings=[xy_m], eave_height_m=float(height_m), angle_deg=angle_deg))
+            # NaN for a footprint that the number format cannot represent
+            if np.isfinite(height_m):
+                row = no_mesh(building, method, "ok")
+                result.append(replace(row, rings=[xy_m], eave_height_m=float(height_m), angle_deg=angle_deg))
     return result

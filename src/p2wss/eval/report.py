@@ -310,8 +310,8 @@ def _cell(value: Any, digits: int = 2, unknown: str = "–") -> str:
 def _distributions(
     frame: pd.DataFrame, names: Mapping[str, str], titles: Mapping[str, str]
 ) -> list[tuple[str, str]]:
-    """(image, caption) of each data set and distance."""
-    images = []
+    """(image, caption) of each data set and distance, of the buildings that all methods have."""
+    frame, images = frame[tables.compared(frame)], []
     for dataset, title in titles.items():
         for column in ("points_to_mesh_m", "chamfer_m"):
             rows = frame[(frame["dataset"] == dataset) & frame[column].notna()]

@@ -247,9 +247,10 @@ def without_mesh(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, 
 def by_group(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
     """A row per data set, property (:data:`GROUPS`), group and method: medians of distances, mean errors of labels.
 
-    A group has the same buildings for every method; a numerical property gives four groups of about equal size.
+    A group has the same buildings for every method, those that all methods have; a numerical property gives four
+    groups of about equal size.
     """
-    parts = []
+    frame, parts = frame[compared(frame)], []
     for dataset, data_set in titles.items():
         of_dataset = frame[frame["dataset"] == dataset]
         for name, title in GROUPS.items():

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -113,6 +114,23 @@ def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[
     constant = np.abs(truth - medians.eave_height_m).mean()
     assert table["Constant predictor MAE"]["Height (m)"] == pytest.approx(constant)
     assert table.loc["Height (m)", ["Paper MAE", "Paper std"]].tolist() == [0.23, 0.9]
+
+
+def test_a_building_too_large_for_the_numbers_is_left_out_of_table_1_and_counted(
+    hamlet_cases: list[cases.Case], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = TruthNetwork(hamlet_cases)
+    whole = network.reconstruct_all_masked
+
+    def without_one(*arguments: Any) -> tuple[Any, ...]:
+        height_m, *others = whole(*arguments)
+        return np.where(np.arange(16) == 3, np.nan, height_m), *others
+
+    monkeypatch.setattr(network, "reconstruct_all_masked", without_one)
+    rows = reconstructed("lod1", hamlet_cases[:16], INPUTS)
+    rows |= reconstructed("masked", hamlet_cases[:16], INPUTS._replace(predictor=network))
+    assert [len(rows[name]) for name in methods.MASKED] == [15, 15]
+    assert tables.num_left_out(measured(hamlet_cases[:16], rows)) == 1
 
 
 def test_the_truth_measures_better_than_a_flat_roof(hamlet_cases: list[cases.Case]) -> None:

@@ -16,7 +16,7 @@ from truth_network import TruthNetwork
 from p2wss import skeleton
 from p2wss.config import Config, Eval, load
 from p2wss.data.building import Building, Reconstruction
-from p2wss.eval import cases, measure, methods, tables
+from p2wss.eval import cases, measure, methods, report, tables
 from p2wss.eval.measure import roof_kind
 from p2wss.eval.reconstructions import Key
 from p2wss.reconstruction.flat import constant
@@ -188,6 +188,18 @@ def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table, frame:
     # the kinds of real buildings come from the best reconstruction, not from the network's hips
     kinds = groups[(groups["Data set"] == "Real") & (groups["By"] == "Roof")]
     assert {"flat", "gable"} <= set(kinds["Group"])
+
+
+def test_a_building_that_one_method_lacks_is_in_no_group_and_no_distribution(frame: pd.DataFrame) -> None:
+    """The median of a method that fails at the difficult buildings would be that of the easy ones."""
+    is_lost = (frame["method"] == NETWORK) & (frame["building_id"] == "b24")
+    lacking = frame.assign(**{name: frame[name].mask(is_lost) for name in (*tables.MEANS, *tables.SHARES)})
+    without = frame[frame["building_id"] != "b24"]
+    of = [tables.by_group(each, RUNS, TITLES) for each in (lacking, without)]
+    pd.testing.assert_frame_equal(*of)
+    assert len(of[0]) and is_lost.sum() == 1
+    names = {run.method: run.name for run in RUNS}
+    assert report._distributions(lacking, names, TITLES) == report._distributions(without, names, TITLES)
 
 
 def test_the_worst_buildings_come_first(frame: pd.DataFrame) -> None:
