@@ -10,7 +10,7 @@ import pandas as pd
 
 from p2wss.config import DeviceName
 from p2wss.nets.predictor import load_predictor
-from p2wss.training.dataset import training_limits
+from p2wss.training.dataset import TrainingLimits, training_limits
 from p2wss.training.model import prediction_errors
 from p2wss.training.shards import load_dataset
 
@@ -18,15 +18,19 @@ from p2wss.training.shards import load_dataset
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> pd.DataFrame:
     """Mean and standard deviation of absolute errors on the test split, with footprints known.
 
-    A row per model, which is named by its folder.
+    A row per model, which is named by its folder; all are measured on the buildings that each of them can take.
 
     Raises :class:`InputError` for an unusable manifest or model.
     """
-    rows = []
-    for path in paths:
-        predictor = load_predictor(path, device)
-        limits = training_limits(predictor.module.config, predictor.dvae_config)
-        test = load_dataset(manifest, ["test"], limits, labelled=True)
+    predictors = [load_predictor(path, device) for path in paths]
+    limits = [training_limits(each.module.config, each.dvae_config) for each in predictors]
+    strictest = TrainingLimits(
+        max(each.min_points for each in limits),
+        min(each.max_vertices for each in limits),
+        min(each.max_length_m for each in limits),
+    )
+    test, rows = load_dataset(manifest, ["test"], strictest, labelled=True), []
+    for path, predictor in zip(paths, predictors, strict=True):
         height, angle = (np.abs(error) for error in prediction_errors(predictor, test, np.arange(len(test))))
         rows.append((path.parent.name, len(test), height.mean(), height.std(), angle.mean(), angle.std()))
     names = ["height_mae_m", "height_std_m", "angle_mae_deg", "angle_std_deg"]

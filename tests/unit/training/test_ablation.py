@@ -19,7 +19,7 @@ from p2wss.nets.predictor import load_predictor
 from p2wss.nets.weights import save_model
 from p2wss.storage.errors import InputError
 from p2wss.training import ablation
-from p2wss.training.dataset import TrainingLimits
+from p2wss.training.dataset import TrainingLimits, training_limits
 from p2wss.training.shards import load_dataset
 
 
@@ -85,3 +85,22 @@ def test_the_table_holds_the_errors_on_the_test_split(tmp_path: Path) -> None:
     # centimetres may fall either way: the frames differ by the ground
     assert float(rows[1]["height_mae_m"]) == pytest.approx(expected, abs=0.05)
     assert rows[0]["num_buildings"] == "10"
+
+
+def test_variants_are_measured_on_the_same_buildings(tmp_path: Path) -> None:
+    """One variant raises roofs in training, and so takes lower buildings than the other."""
+    manifest = toy_crops.make(tmp_path, {"train": 1, "val": 1, "test": 10})
+    config = load({"dvae": SMALL_DVAE, "model": SMALL_MODEL})
+    limit_m = training_limits(config.model, config.dvae).max_length_m
+    augmentation = config.model.augmentation
+    augmentation = augmentation.model_copy(update={"lift_m": augmentation.lift_m + limit_m - 10})
+    variants = {
+        "plain": config.model,
+        "lifted": config.model.model_copy(update={"augmentation": augmentation}),
+    }
+    paths = [tmp_path / name / "model.safetensors" for name in variants]
+    for path, model in zip(paths, variants.values(), strict=True):
+        save_model(Point2Wss(model, config.dvae), path, "x", "")
+    together, alone = ablation.measure(manifest, paths, "cpu"), ablation.measure(manifest, paths[:1], "cpu")
+    num = set(together["num_buildings"])
+    assert len(num) == 1 and 0 < num.pop() < alone["num_buildings"][0] == 10
