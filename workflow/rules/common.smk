@@ -61,7 +61,7 @@ def section(*names, without=()):
     return lambda wildcards: configs.section_json(at(wildcards.get("place", "")), *names, without=without)
 
 
-# how many processes train: the networks depend on it through rounding only
+# how many processes train: the networks depend on it through rounding and through the random draws of each process
 RULE_ONLY = ("compute.num_gpus",)
 # of section model: weights from elsewhere are used in place of a training, which does not depend on them
 NOT_OF_TRAINING = ("weights", *RULE_ONLY)

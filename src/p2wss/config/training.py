@@ -36,7 +36,7 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 
 
 class Compute(Section):
-    """Where and how training runs; it affects results only by rounding."""
+    """Where and how training runs; results change by rounding only, with several processes by their draws, too."""
 
     device: DeviceName = Field("auto", description="where to train; auto = a GPU if there is one")
     num_gpus: int = Field(

@@ -97,8 +97,10 @@ class ModelTask:
     def load(self, step: int) -> tuple[Batch, list[Group]]:
         config, dvae_config = self.config, self.module.dvae_config
         seed = derive_seed(config.seed, "model", "points", step)
-        index = distributed.shard(self.sampler.batch(step))
-        on_building = generator(seed).random(len(index)) < config.augmentation.on_building_share
+        whole = self.sampler.batch(step)
+        # drawn for the whole batch: the rows of a process are not to be drawn as those of another
+        drawn = generator(seed).random(len(whole)) < config.augmentation.on_building_share
+        index, on_building = distributed.shard(whole), distributed.shard(drawn)
         on_building &= self.training_set.num_on_building[index] >= dvae_config.min_points
         num_vertices = self.training_set.num_vertices[index]
         groups = []

@@ -15,6 +15,7 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 
 from p2wss import cli
 from p2wss.config import Model, load
+from p2wss.nets import distributed
 from p2wss.nets.batch import Batch, thin
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss, inference_weights
@@ -211,6 +212,32 @@ def test_predictions_follow_the_vertex_order_of_the_ring(
         assert np.array_equal(np.roll(a, 1), b)
         assert np.abs(a - c).mean() < 2  # float32 may tip a rounded coordinate
     assert np.allclose(straight.eave_height_m, moved.eave_height_m, atol=0.3)
+
+
+def test_two_processes_choose_the_clouds_that_one_would(
+    labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of which only the points on the building are kept: each process has half of the rows, not the same draws."""
+    augmentation = {"on_building_share": 0.5}
+    config = load({"dvae": SMALL_DVAE, "model": {**SMALL_MODEL, "augmentation": augmentation}})
+    task = model.ModelTask(Point2Wss(config.model, config.dvae), DiscreteVae(config.dvae), labelled, labelled)
+    chosen: list[dict[int, bool]] = []
+    batch = BuildingDataset.batch
+
+    def records(
+        self: BuildingDataset, index: np.ndarray, num: int, seed: int, on_building: np.ndarray
+    ) -> Batch:
+        chosen[-1] |= dict(zip(index.tolist(), on_building.tolist(), strict=True))
+        return batch(self, index, num, seed, on_building)
+
+    monkeypatch.setattr(BuildingDataset, "batch", records)
+    for num_processes in (1, 2):
+        chosen.append({})
+        monkeypatch.setattr(distributed, "num_processes", lambda num=num_processes: num)
+        for rank in range(num_processes):
+            monkeypatch.setattr(distributed, "rank", lambda rank=rank: rank)
+            task.load(0)
+    assert chosen[0] == chosen[1] and 0 < sum(chosen[0].values()) < len(chosen[0])
 
 
 def test_errors_of_labelled_buildings_are_those_of_their_predictions(
