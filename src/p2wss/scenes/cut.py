@@ -40,7 +40,8 @@ _STEP_M = 1.0  # between samples of the terrain along a footprint
 # footprints with a smaller gap share a party wall: data sets rarely draw the common wall twice alike
 _PARTY_GAP_M = 0.3
 _PARTY_SHARE = 0.5
-# footprints this far beyond the margin are read too, so that a building has the same party walls in each scene
+# footprints this far beyond the margin are read too, so that a building has the same party walls in each scene; those
+# this near to the tile or to its buildings are of the scene, however far away their middle is
 NEIGHBOUR_DISTANCE_M = 20.0
 
 
@@ -122,8 +123,9 @@ def cut_scene(
     the tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
     ``building_id`` and the height columns of the stage fetch. terrain: of the tile and its margin, in the same
     CRS. A building belongs to the tile that contains the centre of its bounding box before cleaning; a
-    building whose centre is in the margin has ``in_tile`` False. An excluded building keeps its row, with the
-    reason as ``status``, an empty geometry, no angles and NaN heights.
+    building whose centre is in the margin, or that is near to the tile or to its buildings, has ``in_tile`` False: a
+    hall beside the tile would else neither occlude it nor put its buildings on guard. An excluded building keeps its
+    row, with the reason as ``status``, an empty geometry, no angles and NaN heights.
     """
     result = clean_footprints(features, config)
     polygons, status = result.geometry, result["status"]
@@ -131,7 +133,12 @@ def cut_scene(
 
     x_min, y_min, x_max, y_max = tile_bounds(tile, tile_size_m, config.margin_m)
     x, y = result["centre_x_m"], result["centre_y_m"]
-    selection = np.flatnonzero((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
+    is_of_scene = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+    own = polygons[_tile_names(result, tile_size_m) == tile]
+    around = np.array([shapely.box(*tile_bounds(tile, tile_size_m)), *own], dtype=object)
+    near = shapely.STRtree(polygons).query(around, predicate="dwithin", distance=NEIGHBOUR_DISTANCE_M)[1]
+    is_of_scene[near] = True
+    selection = np.flatnonzero(is_of_scene)
     result, polygons, status = result.take(selection), polygons[selection], status[selection]
 
     height, source = eave_heights(result, config)

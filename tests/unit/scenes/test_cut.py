@@ -10,7 +10,9 @@ import shapely
 from places import SHARED
 
 from p2wss.cli import main
-from p2wss.config import Scenes
+from p2wss.config import Crops, Scenes
+from p2wss.crops.splits import assign_splits
+from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
 from p2wss.scenes.cut import (
@@ -70,6 +72,27 @@ def test_every_building_is_in_one_tile() -> None:
         x_min, y_min, x_max, y_max = tile_bounds(scene["tile"].iloc[0], TILE_M, CONFIG.margin_m)
         near = middle[(middle.x >= x_min) & (middle.x <= x_max) & (middle.y >= y_min) & (middle.y <= y_max)]
         assert set(scene["building_id"]) == set(near.index)
+
+
+def test_a_hall_whose_middle_is_far_away_is_in_the_scene_of_the_house_beside_it() -> None:
+    """It occludes the house, which shares points with it and so must not be in another split."""
+    house, far_house = (
+        shapely.box(652990, 6861500, 652999, 6861510),
+        shapely.box(653080, 6861300, 653090, 6861310),
+    )
+    hall = shapely.box(653000, 6861495, 653160, 6861535)
+    columns = {"building_id": ["house", "far", "hall"], "hauteur_m": 6.0}
+    frame = gpd.GeoDataFrame(columns, geometry=[house, far_house, hall], crs="EPSG:2154")
+    scenes = {tile: cut_scene(window(frame, tile), flat(), tile, TILE_M, CONFIG) for tile in TILES[:2]}
+    assert scenes["0652_6862"]["building_id"].tolist() == ["hall", "house"]
+    assert scenes["0652_6862"]["in_tile"].tolist() == [False, True]
+    splits = []
+    for scene in scenes.values():
+        polygons = polygon_arrays.to_polygons(scene.geometry.to_numpy())
+        # the border of the tiles is one of blocks
+        of_seeds = [assign_splits(polygons, Crops(seed=seed, block_size_m=100)) for seed in range(20)]
+        splits.append([split[scene["building_id"] == "house"].tolist() for split in of_seeds])
+    assert splits[0] == splits[1] and ["guard"] in splits[0]
 
 
 def test_a_building_is_the_same_in_each_scene_and_in_any_order() -> None:
