@@ -53,9 +53,16 @@ class Config(Section):
     @model_validator(mode="after")
     def _terrain_under_margins(self) -> Self:
         # a command gets only the sections of its stage; the other sections have their defaults
-        both_given = {"fetch", "scenes"} <= self.model_fields_set
-        if both_given and self.fetch.margin_m < self.scenes.margin_m + 30:
-            raise ValueError("fetch.margin_m must be at least scenes.margin_m + 30")
+        if not {"fetch", "scenes"} <= self.model_fields_set:
+            return self
+        margins_m = {"": (self.fetch.margin_m, self.scenes.margin_m)}
+        for number, member in enumerate(self.dataset.members):
+            key = f"dataset.members.{number}: "
+            fetch, scenes = changed(self.fetch, member.fetch, key), changed(self.scenes, member.scenes, key)
+            margins_m[key] = fetch.margin_m, scenes.margin_m
+        for key, (of_fetch_m, of_scenes_m) in margins_m.items():
+            if of_fetch_m < of_scenes_m + 30:
+                raise ValueError(f"{key}fetch.margin_m must be at least scenes.margin_m + 30")
         return self
 
 

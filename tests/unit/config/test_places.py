@@ -72,3 +72,13 @@ def test_a_place_has_the_settings_of_its_member_and_seeds_of_its_own() -> None:
 def test_a_wrong_member_is_named(dataset: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         load({"dataset": dataset})
+
+
+def test_the_margins_of_a_member_fit_each_other() -> None:
+    """The terrain reaches beyond its scenes; the rules would find that out one by one, with a traceback."""
+    member = {"name": "a", "scenes": {"margin_m": 100}}
+    documents = {"fetch": {}, "scenes": {}, "dataset": {"members": [{"name": "b"}, member]}}
+    with pytest.raises(InputError, match=r"dataset\.members\.1: fetch\.margin_m must be at least"):
+        load(documents)
+    wider = {**member, "fetch": {"margin_m": 130}}
+    load({**documents, "dataset": {"members": [wider]}})
