@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -141,3 +141,11 @@ class Fetch(Section):
     prepare: Prepare = Prepare()
     folder: Folder = Folder()
     geoplateforme: Geoplateforme = Geoplateforme()
+
+    @property
+    def of_tiles(self) -> dict[str, Any]:
+        """The settings that terrain and clouds of a tile depend on as they are delivered."""
+        of_footprints = {name for name in Folder.model_fields if name.startswith("footprints")}
+        if self.source == "folder":
+            return {"margin_m": self.margin_m} | self.folder.model_dump(exclude=of_footprints)
+        return {"margin_m": self.margin_m} | self.geoplateforme.model_dump()

@@ -75,6 +75,12 @@ class Region(Section):
     )
     classes: Classes = Classes()
 
+    def shares_files(self, other: Region) -> bool:
+        """Whether tiles of both may be of one name and vintage, by which terrain and clouds are stored."""
+        (west, south, east, north), (x_min, y_min, x_max, y_max) = self.bounds_m, other.bounds_m
+        overlaps = west < x_max and east > x_min and south < y_max and north > y_min
+        return overlaps and (self.vintage, self.tile_size_m) == (other.vintage, other.tile_size_m)
+
     @field_validator("tiles", "lidar_tiles")
     @classmethod
     def _all_stands_alone(cls, names: list[str]) -> list[str]:

@@ -65,6 +65,25 @@ class Config(Section):
                 raise ValueError(f"{key}fetch.margin_m must be at least scenes.margin_m + 30")
         return self
 
+    @model_validator(mode="after")
+    def _vintages_have_one_source(self) -> Self:
+        # terrain and clouds are stored by vintage and tile alone: of two members, both would get those of the first
+        if not {"region", "fetch"} <= self.model_fields_set:
+            return self
+        members: dict[str, tuple[Region, dict[str, Any]]] = {}
+        for number, member in enumerate(self.dataset.members):
+            key = f"dataset.members.{number}"
+            region, fetch = changed(self.region, member.region, key), changed(self.fetch, member.fetch, key)
+            source = fetch.of_tiles | {"crs": region.crs}
+            for name, (other, of_other) in members.items():
+                if other.shares_files(region) and source != of_other:
+                    raise ValueError(
+                        f"{key}: has the region.vintage and a part of the area of member {name}, but other terrain, "
+                        "clouds or fetch.margin_m; name a vintage of its own"
+                    )
+            members[member.name] = region, source
+        return self
+
 
 def changed(section: S, changes: dict[str, Any], key: str) -> S:
     """A section with changes. key: where they stand, for the ``ValueError`` of a wrong one."""

@@ -82,3 +82,21 @@ def test_the_margins_of_a_member_fit_each_other() -> None:
         load(documents)
     wider = {**member, "fetch": {"margin_m": 130}}
     load({**documents, "dataset": {"members": [wider]}})
+
+
+def test_members_of_one_vintage_do_not_get_the_terrain_of_each_other() -> None:
+    """Drawn towns all lie at the same place."""
+    town = {"name": "town", "fetch": {"folder": {"dtm": "resources/towns/1/rgealti"}}}
+    documents = {"fetch": {}, "region": {}}
+    with pytest.raises(
+        InputError, match=r"dataset\.members\.1: has the region\.vintage and a part of the area of member a"
+    ):
+        load(documents | {"dataset": {"members": [{"name": "a"}, town]}})
+    far = {"bounds_m": [700000, 6860000, 702000, 6862000]}
+    for region in ({"vintage": "town"}, far):
+        load(documents | {"dataset": {"members": [{"name": "a"}, town | {"region": region}]}})
+    # the same terrain, of other footprints
+    load(
+        documents
+        | {"dataset": {"members": [{"name": "a"}, {"name": "b", "fetch": {"folder": {"footprints": "f"}}}]}}
+    )
