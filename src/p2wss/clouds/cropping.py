@@ -261,10 +261,17 @@ def seen_share(polygon: shapely.Polygon, x_m: np.ndarray, y_m: np.ndarray) -> fl
     low_x, low_y, high_x, high_y = np.floor(polygon.bounds).astype(int).tolist()
     centre_x_m, centre_y_m = np.arange(low_x, high_x + 1) + 0.5, np.arange(low_y, high_y + 1) + 0.5
     inside = shapely.contains_xy(polygon, centre_x_m, centre_y_m[:, None])
+    return seen_share_of_cells(inside, (low_x, low_y), x_m, y_m)
+
+
+def seen_share_of_cells(
+    inside: np.ndarray, low_m: tuple[int, int], x_m: np.ndarray, y_m: np.ndarray
+) -> float:
+    """The same of cells ``inside``, bool (rows, columns), the first of which begins at ``low_m``."""
     if not inside.any():
         return float(len(x_m) > 0)
-    column, row = np.floor(x_m).astype(int) - low_x, np.floor(y_m).astype(int) - low_y
-    is_near = (column >= 0) & (column < len(centre_x_m)) & (row >= 0) & (row < len(centre_y_m))
+    column, row = np.floor(x_m).astype(int) - low_m[0], np.floor(y_m).astype(int) - low_m[1]
+    is_near = (column >= 0) & (column < inside.shape[1]) & (row >= 0) & (row < inside.shape[0])
     seen = np.zeros(inside.shape, bool)
     seen[row[is_near], column[is_near]] = True
     return float(seen[inside].mean())

@@ -17,7 +17,8 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import stride
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruction.outputs.measures import MeshMeasures, measure
+from p2wss.reconstruction.outputs import measures
+from p2wss.reconstruction.outputs.measures import MeshMeasures
 from p2wss.reconstruction.product import NETWORK
 from p2wss.reconstruction.registration.register import Registration
 
@@ -67,6 +68,7 @@ class Result:
     overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the length of those where points
     show it, negative where they end within; NaN where none shows it.
     measures: of the mesh; None without one.
+    unseen_roof_area_m2: of the roof of the mesh, in plan, in 1 m cells without a point; NaN without a mesh.
     party_wall_area_m2: of the walls that stand against other buildings of the run.
     ground: where the height of the ground is from, and its standard deviation
     (:class:`p2wss.reconstruction.points.ground.Grounds`).
@@ -90,6 +92,7 @@ class Result:
     dates: tuple[date, date] | None = None
     overhang_m: float = float("nan")
     measures: MeshMeasures | None = None
+    unseen_roof_area_m2: float = float("nan")
     party_wall_area_m2: float = 0.0
     ground: tuple[str, float] | None = None
     sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
@@ -116,10 +119,13 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         share_within_20cm = float((distance_m <= _NEAR_M).mean())
     is_fitted = status == "ok" and reconstruction.method != NETWORK
     is_far = residual_m > config.not_representable_m
-    visible_share = overhang_m = float("nan")
+    visible_share = overhang_m = unseen_roof_area_m2 = float("nan")
     if building.rings:
         # of points in whole centimetres, as those of crops
-        visible_share = seen_share(building.polygon, *np.round(building.point_m[on_building, :2], 2).T)
+        x_m, y_m = np.round(building.point_m[on_building, :2], 2).T
+        visible_share = seen_share(building.polygon, x_m, y_m)
+        if mesh is not None:
+            unseen_roof_area_m2 = measures.unseen_roof_area_m2(mesh, x_m, y_m)
         overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
     is_reliable = status == "ok" and residual_m <= config.not_representable_m and visible_share >= 0.5
     return Result(
@@ -138,7 +144,8 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         dates=row.dates,
         ground=row.ground,
         overhang_m=overhang_m,
-        measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
+        measures=measures.measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
+        unseen_roof_area_m2=unseen_roof_area_m2,
         sample_m=np.column_stack([point_m, distance_m])[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(
             np.float32
         ),

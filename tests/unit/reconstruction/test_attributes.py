@@ -20,14 +20,17 @@ from yard_house import HOUSE_M2, SLOPE_DEG, YARD_M, YARD_M2, yard_house
 
 from p2wss import skeleton
 from p2wss.clouds.reading import GPS_EPOCH, read_clouds
+from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.crs import common_crs
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.fit import fitting
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.outputs import measures
 from p2wss.reconstruction.outputs.attributes import TO_3DBAG, attributes
 from p2wss.reconstruction.outputs.city import city_json, epsg_of
-from p2wss.reconstruction.result import Result
+from p2wss.reconstruction.result import Result, Row, result_of
 from p2wss.skeleton.types import Polygons
 
 BOX = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
@@ -133,6 +136,21 @@ def test_open_ground_is_no_roof() -> None:
     assert attributes(result(row))["outer_floor_area_m2"] == pytest.approx(YARD_M2)
 
 
+def test_open_ground_is_no_extrapolated_roof() -> None:
+    """A yard without points on a roof is most of the footprint, and the roof ends before it: of the house, a strip of
+    2 m has no points."""
+    x_m, y_m = (each.ravel() for each in np.meshgrid(np.arange(0.25, 20, 0.5), np.arange(0.25, 8, 0.5)))
+    is_house, is_seen = x_m < 8, (x_m < 3) | (x_m > 5)
+    point_m = np.column_stack([x_m, y_m, np.where(is_house, 5.0, 0.0)])[is_seen]
+    classes = np.where(is_house, BUILDING_CLASS, GROUND_CLASS)[is_seen].astype(np.uint8)
+    footprint = np.array([[0, 0], [20, 0], [20, 8], [0, 8.0]])
+    house = Building("a", "t", (652000.0, 6861000.0), [footprint], point_m, classes, 100.0)
+    row = result_of(Row(0, house, "ok"), fitting.fit([house], Reconstruct())[0], Reconstruct())
+    values = attributes(row)
+    assert values["ground_area_m2"] == pytest.approx(8 * 8, abs=4) and values["visible_share"] < 0.4
+    assert values["extrapolated_area_m2"] == pytest.approx(2 * 8, abs=1)
+
+
 def test_quantiles_are_those_of_a_fine_raster() -> None:
     mesh = building("hip", L_SHAPE, [30, 50, 40, 35, 25, 45])
     measured = measures.measure(mesh.placed_mesh)
@@ -158,7 +176,6 @@ def test_party_walls_are_where_neighbours_overlap() -> None:
     assert areas == pytest.approx([4 * 3, 4 * 3, 0], abs=1e-6)
     assert measures.party_wall_areas_m2([]).shape == (0,)
     values = attributes(result(rows[1], party_wall_area_m2=float(areas[1])))
-    assert values["extrapolated_area_m2"] == 0
     assert values["party_wall_area_m2"] == 12 and values["outer_wall_area_m2"] == 2 * (12 + 8) * 3 - 12
 
 

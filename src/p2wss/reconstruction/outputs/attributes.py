@@ -148,7 +148,7 @@ def _mesh_attributes(result: Result) -> dict[str, Any]:
     values = vars(measured) | {
         "party_wall_area_m2": result.party_wall_area_m2,
         "outer_wall_area_m2": max(measured.wall_area_m2 - result.party_wall_area_m2, 0.0),
-        "extrapolated_area_m2": measured.ground_area_m2 * (1.0 - result.visible_share),
+        "extrapolated_area_m2": result.unseen_roof_area_m2,
     }
     return {
         name: values[name] if name == "roof_type" else _rounded(values[name]) for name in _MESH_ATTRIBUTES

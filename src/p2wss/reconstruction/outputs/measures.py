@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from p2wss.clouds.cropping import seen_share_of_cells
 from p2wss.mesh import Mesh
+from p2wss.mesh.surface import topmost
 from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
@@ -167,6 +169,20 @@ def _sloped_type(
     if len(main) != 4 or len(ridge_m) != 4 or hip_m.min() == 0 or not is_even:
         return SLOPES
     return HIP if ridge_m.max() > _POINT_SHARE * hip_m.max() else PYRAMID
+
+
+def unseen_roof_area_m2(mesh: Mesh, x_m: np.ndarray, y_m: np.ndarray) -> float:
+    """The area in plan of the roof of a mesh in 1 m cells without one of the points (n,), in the frame of both. What is
+    open ground, outside or as a floor, has no roof."""
+    is_roof = (mesh.kind == FaceKind.ROOF) | (mesh.kind == FaceKind.FLAT)
+    corner_m = mesh.corner_m[is_roof]
+    low_x, low_y = np.floor(corner_m[..., :2].min(axis=(0, 1))).astype(int).tolist()
+    high_x, high_y = np.floor(corner_m[..., :2].max(axis=(0, 1))).astype(int).tolist()
+    x, y = np.meshgrid(np.arange(low_x, high_x + 1) + 0.5, np.arange(low_y, high_y + 1) + 0.5)
+    centre_m = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    inside = (topmost(corner_m, centre_m)[0] >= 0).reshape(x.shape)
+    share = seen_share_of_cells(inside, (low_x, low_y), x_m, y_m)
+    return float(mesh.doubled_m2[is_roof, 2].sum()) / 2 * (1.0 - share)
 
 
 def party_wall_areas_m2(meshes: Sequence[Mesh | None]) -> np.ndarray:
