@@ -14,6 +14,7 @@ from p2wss.fit.planes.costs import FORBIDDEN_M3
 from p2wss.fit.planes.detection import distances
 from p2wss.fit.planes.fit import PlanesFit
 from p2wss.fit.planes.labelling import least_cost
+from p2wss.fit.planes.solid import OUTSIDE
 from p2wss.reconstruction import scene
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs.picture import plot
@@ -43,7 +44,11 @@ class Explanation:
         text = [f"{self.building.building_id}: {self.building.status}{reason}, method {facts['method']}"]
         if self.planes is None:
             return "\n".join(
-                [*text, "no planes were fitted: too few points, or the parametric building was asked for"]
+                [
+                    *text,
+                    "no planes were fitted: too few points, no valid solid below them, or the parametric building was "
+                    "asked for",
+                ]
             )
         if self.num_fits > 1:
             text.append(f"fitted {self.num_fits} times with higher prices, as the solid before was not valid")
@@ -62,11 +67,11 @@ class Explanation:
         fit, colors = self.planes, pyplot.get_cmap("tab20")
         color = np.where(fit.at_plane[:, None] < 0, to_rgba("#bbbbbb"), colors(fit.at_plane % 20))
         left.scatter(*fit.point_m[:, :2].T, s=3, color=color)
-        for number in np.unique(fit.label).tolist():
-            own = fit.label == number
+        for number in np.unique(fit.built[fit.built != OUTSIDE]).tolist():
+            own = fit.built == number
             place_m = np.average(fit.cells.middle_m[own], axis=0, weights=fit.cells.area_m2[own])
             middle.annotate(str(number), place_m, color=colors(number % 20), weight="bold", ha="center")
-        beside = np.append(fit.label, -1)[fit.cells.pair]
+        beside = np.append(fit.built, OUTSIDE)[fit.cells.pair]
         is_border, end_m = beside[:, 0] != beside[:, 1], fit.cells.xy_m[fit.cells.side]
         middle.add_collection(LineCollection(end_m[~is_border], colors="#cccccc", linewidths=0.5))
         middle.add_collection(LineCollection(end_m[is_border], colors="#222222", linewidths=1.5))
@@ -85,8 +90,9 @@ def _planes(fit: PlanesFit) -> Iterator[str]:
     """A line per plane, under a title."""
     # others are on roofs around
     cell = fit.cells.cells_at(fit.point_m[:, :2])
-    area_m2 = np.bincount(fit.label, fit.cells.area_m2, len(fit.plane))
-    num_points = np.count_nonzero(cell >= 0)
+    is_built = fit.built != OUTSIDE
+    area_m2 = np.bincount(fit.built[is_built], fit.cells.area_m2[is_built], len(fit.plane))
+    num_points = np.count_nonzero(is_built[cell[cell >= 0]])
     yield f"{(area_m2 > 0).sum()} of {len(fit.plane)} planes are used; {num_points} points on {area_m2.sum():.0f} m2"
     yield f"{'plane':>5} {'points':>7} {'m2':>7} {'slope':>6} {'faces':>6} {'off, m':>7}  without it"
     for number, plane in enumerate(fit.plane):
@@ -110,6 +116,8 @@ def _saving(fit: PlanesFit, number: int, cell: np.ndarray, own: np.ndarray) -> s
     own: bool (m,), its points inside."""
     problem, total_m3 = fit.costs.problem, fit.costs.total_m3(fit.label)
     if (fit.label == number).any():
+        if not (fit.built == number).any():
+            return "open ground: outside the building"
         barred_m3 = np.where(problem.number == number, FORBIDDEN_M3, problem.cell_m3)
         without = replace(fit.costs, problem=problem._replace(cell_m3=barred_m3))
         more_m3 = without.total_m3(least_cost(without, fit.num_known)) - total_m3

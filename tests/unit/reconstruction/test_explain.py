@@ -52,6 +52,20 @@ def test_the_planes_of_a_gable_roof(monkeypatch: pytest.MonkeyPatch) -> None:
     assert str(explanation).count("too many planes") == 2
 
 
+def test_open_ground_is_no_plane_of_the_building() -> None:
+    """The other half of the footprint is a yard, whose ground the points show."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(-3.8, 24, 0.4), np.arange(-3.8, 12, 0.4)))
+    inside = (x > 0) & (x < 10) & (y > 0) & (y < 8)
+    points = np.column_stack([x, y, np.where(inside, 5, 0), np.where(inside, 6, 2)])
+    footprints = gpd.GeoDataFrame({"id": ["a"]}, geometry=[shapely.box(0, 0, 20, 8)], crs=2154)
+    with p2wss.reconstruct(points, footprints, model="none", progress=False) as scene:
+        built_m2, text = scene["a"].attributes["ground_area_m2"], str(scene.explain("a"))
+    assert built_m2 == pytest.approx(80, abs=4)
+    (stated_m2,) = re.findall(r"1 of 2 planes are used; \d+ points on (\d+) m2", text)
+    assert float(stated_m2) == pytest.approx(built_m2, abs=1)
+    assert text.count("open ground: outside the building") == 1
+
+
 def test_a_parametric_building_has_no_planes(files: tuple[Path, Path]) -> None:
     config = {"reconstruct": {"roofs": "parametric"}}
     with p2wss.reconstruct(*files, model="none", progress=False, config=config) as scene:

@@ -48,7 +48,8 @@ _LOW_M = 2.0
 
 @dataclass(frozen=True)
 class PlanesFit:
-    """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
+    """plane: (k, 3). cells, label: which plane covers which cell. built: the same, :data:`OUTSIDE` over open ground,
+    where the solid is not. body: int (c,), numbers of the roofs between which
     there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof. is_simplified:
     whether the points show more planes than :class:`p2wss.fit.settings.Limits` allow. costs: what was compared.
     point_m, at_plane: the points, and the plane of each, -1 for none. num_known: the last planes, of a known roof and
@@ -57,6 +58,7 @@ class PlanesFit:
     plane: np.ndarray
     cells: Arrangement
     label: np.ndarray
+    built: np.ndarray
     body: np.ndarray
     num_bodies: int
     mesh: Mesh
@@ -194,6 +196,7 @@ def fit_planes(
         plane,
         cells,
         label,
+        built,
         body,
         num_bodies,
         mesh,
