@@ -19,7 +19,8 @@ def with_fallback(
     """The reconstructions, with flat roofs (method ``lod1``) for buildings without a mesh.
 
     The roof is at the height of the points on the building, and the status keeps the reason; without such points it is
-    at the height that the footprint states, if it does, with the status "height-from-attribute".
+    at the height that the footprint states, if it does, with the status "height-from-attribute"; else the status says
+    that there are none.
     """
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
@@ -29,12 +30,12 @@ def with_fallback(
     stated = [b.stated_height_m if np.isfinite(b.ground_z_m) else np.nan for b in of_missing]
     is_stated = np.isnan(height)
     height = np.maximum(np.where(is_stated, stated, height), config.min_eave_height_m)
-    flat = constant(of_missing, height, 0.0, config, "lod1")
+    flat = constant(of_missing, height, 0.0, config, "lod1", reasons.NO_POINTS_ON_BUILDING)
     for k, i in enumerate(missing):
         if flat[k].has_mesh:
             status = reasons.HEIGHT_FROM_ATTRIBUTE if is_stated[k] else result[i].status
             result[i] = replace(flat[k], status=status)
-        elif not len(buildings[i].point_m):
+        elif is_stated[k]:
             result[i] = replace(result[i], status=flat[k].status)
     return result
 

@@ -54,15 +54,18 @@ def test_ground_alone_inside_a_footprint_is_no_height_either() -> None:
     cloud = cloud_over(SQUARE)
     x, y = np.random.default_rng(1).uniform([30, 0], [40, 10], (200, 2)).T
     ground = Cloud(
-        np.append(cloud.x_m, x),
-        np.append(cloud.y_m, y),
-        np.append(cloud.z_m, np.full(200, 3.0)),
-        np.append(cloud.classification, np.full(200, 2)).astype(np.uint8),
+        np.concatenate([cloud.x_m, x, x + 770]),
+        np.concatenate([cloud.y_m, y, y]),
+        np.append(cloud.z_m, np.full(400, 3.0)),
+        np.append(cloud.classification, np.full(400, 2)).astype(np.uint8),
         LAMBERT,
     )
-    near = results(cloud=ground)[1]
+    _, near, _, unknown = results(cloud=ground)
     assert (near.status, near.reason, near.num_points) == ("flat", "height-from-attribute", 200)
     assert near.reconstruction.eave_height_m == pytest.approx(5.0)
+    # where the footprint states none, the reason is not that of points on the roof that are too few
+    assert (unknown.status, unknown.reason, unknown.num_points) == ("none", "no-points-on-building", 200)
+    assert [attributes(each, names="3dbag")["b3_dak_type"] for each in (near, unknown)] == ["no points"] * 2
 
 
 def test_chosen_columns_are_passed_through() -> None:
