@@ -136,7 +136,7 @@ def test_open_ground_is_no_roof() -> None:
     assert attributes(result(row))["outer_floor_area_m2"] == pytest.approx(YARD_M2)
 
 
-def test_open_ground_is_no_extrapolated_roof() -> None:
+def test_open_ground_is_outside_the_building() -> None:
     """A yard without points on a roof is most of the footprint, and the roof ends before it: of the house, a strip of
     2 m has no points."""
     x_m, y_m = (each.ravel() for each in np.meshgrid(np.arange(0.25, 20, 0.5), np.arange(0.25, 8, 0.5)))
@@ -149,6 +149,9 @@ def test_open_ground_is_no_extrapolated_roof() -> None:
     values = attributes(row)
     assert values["ground_area_m2"] == pytest.approx(8 * 8, abs=4) and values["visible_share"] < 0.4
     assert values["extrapolated_area_m2"] == pytest.approx(2 * 8, abs=1)
+    # nor is it in the block of LoD 1.2
+    _, feature = map(json.loads, "".join(city_json([row], LAMBERT, lods=["1.2"])).splitlines())
+    assert 1e-5 * np.ptp(feature["vertices"], axis=0) == pytest.approx([8, 8, 5], abs=0.3)
 
 
 def test_quantiles_are_those_of_a_fine_raster() -> None:

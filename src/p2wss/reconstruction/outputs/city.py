@@ -119,17 +119,21 @@ def _plant(plant: Plant) -> Solid:
 
 
 def _block(result: Result) -> tuple[Mesh, list[Surface]] | None:
-    """The footprint as a block whose flat roof is as high as 70 % of the building's, and its surfaces; None if that is
-    not valid."""
-    reconstruction = result.reconstruction
-    assert result.measures is not None  # it has a mesh
-    height_m = result.measures.roof_z_p70_m - reconstruction.ground_z_m
-    rings = list(reconstruction.rings)
-    meshes = skeleton.build(
-        Polygons.from_rings([rings]), np.zeros(sum(map(len, rings))), np.array([height_m])
-    )
-    if meshes.status[0] != skeleton.Status.OK:
-        return None
-    mesh = Mesh.of_kernel(meshes, 0).translated(reconstruction.position_m)
-    surfaces, broken = surfaces_to_write(mesh)
-    return None if broken else (mesh, surfaces)
+    """The floor of a building, or its footprint if the kernel does not take that, as a block whose flat roof is as high
+    as 70 % of the building's, and its surfaces; None if that is not valid."""
+    reconstruction, measured = result.reconstruction, result.measures
+    assert measured is not None and reconstruction.mesh is not None
+    solid, height_m = reconstruction.mesh, measured.roof_z_p70_m - reconstruction.ground_z_m
+    # without open ground, which is outside; a floor is seen from below
+    floors = [surface.rings for surface in solid.surfaces if surface.kind == FaceKind.GROUND]
+    of_floor = [[solid.vertex_m[ring[::-1], :2] for ring in rings] for rings in floors if len(floors) == 1]
+    for rings in (*of_floor, list(reconstruction.rings)):
+        meshes = skeleton.build(
+            Polygons.from_rings([rings]), np.zeros(sum(map(len, rings))), np.array([height_m])
+        )
+        if meshes.status[0] == skeleton.Status.OK:
+            mesh = Mesh.of_kernel(meshes, 0).translated(reconstruction.position_m)
+            surfaces, broken = surfaces_to_write(mesh)
+            if not broken:
+                return mesh, surfaces
+    return None
