@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -574,7 +574,8 @@ def reconstruct(
         )
         plants: list[vegetation.Plant] = []
         if around is not None:
-            plants = vegetation.plants(points, around, features.geometry)
+            footprints = _as_registered(features.geometry, area.numbers, store[: len(area.numbers)])
+            plants = vegetation.plants(points, around, footprints)
             log.info("%d plants", len(plants))
         kept = exports.kept(results, settings)
         run = Run(inputs, results, kept, plants, points, facts, failures, resources.pop_all())
@@ -621,6 +622,15 @@ def _reporting(
             yield bar.update
     else:
         yield lambda num_done: progress(num_done, total) if callable(progress) else None
+
+
+def _as_registered(footprints: np.ndarray, numbers: np.ndarray, results: Sequence[Result]) -> np.ndarray:
+    """All footprints of a run, those of ``numbers``, which have results, where the registration has moved them."""
+    moved = footprints.copy()
+    for number, result in zip(numbers.tolist(), results, strict=True):
+        if result.registration is not None:
+            moved[number] = shapely.transform(moved[number], partial(np.add, result.registration.shift_m))
+    return moved
 
 
 def _none_usable(rows: Features, inputs: Inputs) -> str:

@@ -100,6 +100,26 @@ def test_crowns_whose_tops_are_beside_each_other_have_names_of_their_own(
     assert len(set(names)) == len(names) == 2 and {name.split("_")[1] for name in names} == {"195", "200"}
 
 
+def test_a_chimney_beside_a_misplaced_footprint_is_no_plant() -> None:
+    """The cloud has no classes of plants, and the registration moves the footprint by more than the margin in which
+    points are of the building."""
+    draw = np.random.default_rng(0)
+    x, y = draw.uniform((-20, -20), (40, 40), (36_000, 2)).T
+    roof = (x > 0) & (x < 12) & (y > 0) & (y < 9)
+    chimney = roof & (np.abs(x - 0.5) < 0.45) & (np.abs(y - 4.2) < 0.45)
+    z = np.where(roof, 6 + 0.8 * np.minimum(y, 9 - y), 0) + draw.normal(0, 0.03, len(x))
+    z[chimney] += draw.uniform(0, 1.5, chimney.sum())
+    crown = (x - 25) ** 2 + (y - 20) ** 2 < 4
+    z[crown] = draw.uniform(3, 8, crown.sum())
+    cloud = np.column_stack([x, y, z, np.where(z < 0.3, 2, 1)])
+    footprints = gpd.GeoDataFrame({"id": ["a"]}, geometry=[shapely.box(2.4, 0, 14.4, 9)], crs="EPSG:2154")
+    config = {"reconstruct": {"vegetation": True}}
+    with p2wss.reconstruct(cloud, footprints, model="none", progress=False, config=config) as scene:
+        assert scene.table["shift_x_m"].item() == pytest.approx(-2.4, abs=0.1)
+        places_m = np.array([plant.vertex_m[:, :2].mean(axis=0) for plant in scene.plants])
+    assert len(places_m) and (np.hypot(*(places_m - [25, 20]).T) < 2).all()
+
+
 def test_where_there_are_no_points_nothing_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A window of 1,000 by 700 km with plants in one corner of it takes no longer than that corner."""
     num_read, near = 0, CloudIndex.near
