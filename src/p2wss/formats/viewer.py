@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from p2wss.formats.materials import MATERIALS, materials_of
+from p2wss.formats.meshes import SURFACE_NAMES
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -99,6 +100,8 @@ def viewer(
     )
     data = {
         "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
+        # by whose names materials are
+        "surfaces": [SURFACE_NAMES[kind] for kind in sorted(FACE_COLORS)],
         "methods": [
             {"key": layer.key, "name": layer.name, "color": layer.color, "ours": layer.is_ours}
             | {"shown": layer.is_ours or layer == OUTLINES}

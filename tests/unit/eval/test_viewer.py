@@ -273,6 +273,11 @@ def test_the_page_of_a_scene_has_every_building_the_worst_first(scene: Path) -> 
         "gone",
     ]
     assert [each["state"] for each in data["buildings"]] == ["flagged", "flat", "ok", "none"]
+    # open ground has not the material of the roof
+    assert (
+        data["surfaces"] == ["ground", "wall", "roof", "roof", "outer_floor"]
+        and "data.surfaces[kind]" in text
+    )
     assert data["buildings"][2]["attributes"]["note"] is None and data["buildings"][3]["meshes"] == {}
 
 

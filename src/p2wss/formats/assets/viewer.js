@@ -201,9 +201,8 @@
 
   const heightOf = ({ attributes, bounds }) =>
     attributes.roof_z_max_m - attributes.ground_z_m || bounds[1][2] - bounds[0][2];
-  // walls are 1, roofs and flat roofs 2 and 3
   const materialsOf = ({ materials }, kind) =>
-    kind === undefined ? Object.values(materials) : [kind === 1 ? materials.wall : kind > 1 ? materials.roof : null];
+    kind === undefined ? Object.values(materials) : [materials[data.surfaces[kind]]];
   const stateColors = Object.fromEntries(Object.values(STATES).map(([color, text]) => [text, color]));
   const PAINTS = {
     kind: byKind,
