@@ -20,6 +20,7 @@ from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs.picture import plot
 from p2wss.skeleton.angles import slope_angles
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 
 # a plane that lies over no cell would be over those in which most points are of it
 _MOST = 0.5
@@ -147,10 +148,17 @@ def _prices(fit: PlanesFit) -> Iterator[str]:
 
 
 def explain(inputs: Inputs, config: Config, building_id: str) -> Explanation:
-    """Reconstruct one building as a run does, and keep what was chosen on the way.
+    """Reconstruct one building as a run does, but without a limit of triangles, which is of all buildings of a run, and
+    keep what was chosen on the way.
 
     Raises :class:`InputError` if no footprint has this id, or only parts of one.
     """
+    if config.reconstruct.max_triangles is not None:
+        log.info(
+            "note: reconstruct.max_triangles is of a whole run, which may have this building at detail low"
+        )
+        settings = config.reconstruct.model_copy(update={"max_triangles": None})
+        config = config.model_copy(update={"reconstruct": settings})
     trace: list[tuple[str, PlanesFit | None]] = []
     token = TRACE.set(trace)
     try:

@@ -66,6 +66,16 @@ def test_open_ground_is_no_plane_of_the_building() -> None:
     assert text.count("open ground: outside the building") == 1
 
 
+def test_a_limit_of_triangles_decides_nothing_for_one_building(files: tuple[Path, Path]) -> None:
+    """It would be fitted once more, at low detail, and that be explained, as if the first solid were not valid."""
+    texts = []
+    for limit in (None, 4):
+        config = {"reconstruct": {"max_triangles": limit}}
+        with p2wss.reconstruct(*files, model="none", progress=False, config=config) as scene:
+            texts.append(str(scene.explain("gable")))
+    assert texts[0] == texts[1] and "cost" in texts[0]
+
+
 def test_a_parametric_building_has_no_planes(files: tuple[Path, Path]) -> None:
     config = {"reconstruct": {"roofs": "parametric"}}
     with p2wss.reconstruct(*files, model="none", progress=False, config=config) as scene:
