@@ -26,7 +26,7 @@ from p2wss.mesh import Mesh
 from p2wss.reconstruction.network import Predictor
 from p2wss.reconstruction.outputs.attributes import attributes
 from p2wss.reconstruction.outputs.measures import party_wall_areas_m2
-from p2wss.reconstruction.points.ground import ground_of
+from p2wss.reconstruction.points.ground import BUILDINGS, ground_of
 from p2wss.reconstruction.points.own_points import with_own_classes
 from p2wss.reconstruction.product import flat_roofs, method_name, reconstruct_buildings
 from p2wss.reconstruction.registration.register import Registration
@@ -193,7 +193,7 @@ class Rows:
                 ground_z_m=float(ground_z_m[i]),
                 around_m=_local(cloud, beside, position_m),
             )
-            source = str(ground.source[i]), float(ground.sd_m[i])
+            source = (str(ground.source[i]), float(ground.sd_m[i])) if np.isfinite(ground_z_m[i]) else None
             return replace(row, building=building, dates=_dates(cloud, point), ground=source)
 
         def without(i: int, trace: str) -> list[Row]:
@@ -225,9 +225,10 @@ class Rows:
         if len(known) and self._pending:
             place_m = np.array([row.building.origin_xy_m for row in self._pending])
             _, beside = nearest(self._origin_xy_m[known], place_m, min(_NUM_NEIGHBOURS, len(known)))
-            for k, ground_z_m in enumerate(np.median(self._ground_z_m[known][beside], axis=1).tolist()):
-                row = self._pending[k]
-                self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
+            for k, near_z_m in enumerate(self._ground_z_m[known][beside]):
+                row, ground = self._pending[k], (BUILDINGS, float(np.std(near_z_m)))
+                building = replace(row.building, ground_z_m=float(np.median(near_z_m)))
+                self._pending[k] = replace(row, building=building, ground=ground)
         self._start(self._pending, self._pending)
         self._complete()
         if self._config.max_triangles is not None:

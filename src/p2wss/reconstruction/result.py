@@ -71,7 +71,7 @@ class Result:
     unseen_roof_area_m2: of the roof of the mesh, in plan, in 1 m cells without a point; NaN without a mesh.
     party_wall_area_m2: of the walls that stand against other buildings of the run.
     ground: where the height of the ground is from, and its standard deviation
-    (:class:`p2wss.reconstruction.points.ground.Grounds`).
+    (:mod:`p2wss.reconstruction.points.ground`); None where it is unknown.
     sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
     failure: of a building with the reason ``internal-error``, the traceback.
     num_lines: of the lines that a map knows of its roof, how many there are; None in a run without.

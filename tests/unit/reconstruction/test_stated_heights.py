@@ -19,6 +19,9 @@ from p2wss.reconstruction.result import Result
 SQUARE, NEAR, FAR, UNKNOWN = (shapely.box(x, 0, x + 10, 10) for x in (0, 30, 500, 800))
 
 
+FAR_ALONE = gpd.GeoDataFrame({"building_id": ["far"], "stated_height_m": [7.0]}, geometry=[FAR], crs=LAMBERT)
+
+
 def results(terrain: Terrain | None = None, cloud: Cloud | None = None) -> list[Result]:
     frame = gpd.GeoDataFrame(
         {"building_id": ["seen", "near", "far", "unknown"], "stated_height_m": [30.0, 5.0, 7.0, np.nan]},
@@ -41,6 +44,14 @@ def test_no_points_a_flat_roof_at_the_stated_height() -> None:
         assert (z.min(), z.max()) == pytest.approx((2.0, 2.0 + height_m))
         assert not result.is_reliable
     assert (unknown.status, unknown.reason) == ("none", "no-points")
+    # and that says whose ground it is
+    assert [attributes(each)["ground_source"] for each in (seen, near, far)] == [
+        "around",
+        "around",
+        "nearest-buildings",
+    ]
+    bare = run(cleaned(FAR_ALONE), cloud_over(SQUARE), None, "t", Reconstruct(registration="never"))[0]
+    assert [attributes(bare)[name] for name in ("ground_z_m", "ground_source", "ground_sd_m")] == [None] * 3
 
 
 def test_terrain_is_their_ground() -> None:

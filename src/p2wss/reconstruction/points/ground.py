@@ -18,6 +18,8 @@ from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
 AROUND, TERRAIN, LOWEST, STOREY = "around", "terrain", "lowest-points", "storey"
+# of one without points or terrain, that of the nearest buildings
+BUILDINGS = "nearest-buildings"
 # and where it is not seen: the lowest points around, hardly any of which has class ground; those of the building
 UNSEEN = UNCLASSIFIED, OWN = "unclassified-points", "own-points"
 
