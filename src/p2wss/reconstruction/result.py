@@ -17,8 +17,7 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import stride
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruction.outputs import measures
-from p2wss.reconstruction.outputs.measures import MeshMeasures
+from p2wss.reconstruction.outputs.measures import MeshMeasures, measure, unseen_roof_area_m2
 from p2wss.reconstruction.product import NETWORK
 from p2wss.reconstruction.registration.register import Registration
 
@@ -119,13 +118,13 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         share_within_20cm = float((distance_m <= _NEAR_M).mean())
     is_fitted = status == "ok" and reconstruction.method != NETWORK
     is_far = residual_m > config.not_representable_m
-    visible_share = overhang_m = unseen_roof_area_m2 = float("nan")
+    visible_share = overhang_m = unseen_m2 = float("nan")
     if building.rings:
         # of points in whole centimetres, as those of crops
         x_m, y_m = np.round(building.point_m[on_building, :2], 2).T
         visible_share = seen_share(building.polygon, x_m, y_m)
         if mesh is not None:
-            unseen_roof_area_m2 = measures.unseen_roof_area_m2(mesh, x_m, y_m)
+            unseen_m2 = unseen_roof_area_m2(mesh, x_m, y_m)
         overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
     is_reliable = status == "ok" and residual_m <= config.not_representable_m and visible_share >= 0.5
     return Result(
@@ -144,8 +143,8 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         dates=row.dates,
         ground=row.ground,
         overhang_m=overhang_m,
-        measures=measures.measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
-        unseen_roof_area_m2=unseen_roof_area_m2,
+        measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
+        unseen_roof_area_m2=unseen_m2,
         sample_m=np.column_stack([point_m, distance_m])[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(
             np.float32
         ),
