@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from p2wss.config.training import Optimiser
 from p2wss.nets import supposed
 from p2wss.nets.clues import MAX_POINTS, MAX_VERTICES, SCALE_M
 from p2wss.storage.errors import InputError
-from p2wss.towns.buildings import Wing
+from p2wss.towns.buildings import DrawnBuilding, Wing
 
 # sums of the test below, by the first version
 FORMER = {
@@ -42,13 +43,20 @@ FORMER = {
 }
 
 
-@pytest.fixture
-def few_towns(monkeypatch: pytest.MonkeyPatch) -> None:
-    kinds = {kind: (draw, 1) for kind, (draw, _) in completion_roofs.KINDS.items() if kind != "streets"}
-    monkeypatch.setattr(completion_roofs, "KINDS", kinds)
+@pytest.fixture(scope="module")
+def few_towns() -> Iterator[None]:
+    """Forty buildings of each kind."""
+
+    def few(draw: Callable[[np.random.Generator], Sequence[DrawnBuilding]]) -> Callable:
+        return lambda rng: draw(rng)[:40]
+
+    kinds = {kind: (few(draw), 1) for kind, (draw, _) in completion_roofs.KINDS.items() if kind != "streets"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(completion_roofs, "KINDS", kinds)
+        yield
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def roofs(few_towns: None) -> DrawnRoofs:
     return draw_roofs(5)
 
@@ -100,8 +108,8 @@ def test_samples_of_a_seed_are_those_of_former_versions() -> None:
     assert sums == pytest.approx(list(FORMER.values()), rel=1e-9)
 
 
-def test_batches_of_forks_are_those_of_one_process(few_towns: None) -> None:
-    one, many = (draw_roofs(5, num_processes=num) for num in (1, 3))
+def test_batches_of_forks_are_those_of_one_process(roofs: DrawnRoofs) -> None:
+    one, many = roofs, draw_roofs(5, num_processes=3)
     assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(one, many, strict=True))
     alone = completion.CompletionTask(RoofCompletion(), one, 4, 0)
     with closing(completion.CompletionTask(RoofCompletion(), many, 4, 0, num_forks=3).batches) as batches:
