@@ -149,10 +149,10 @@ def test_the_script_trains(few_towns: None, tmp_path: Path, monkeypatch: pytest.
 def test_a_batch_is_learnt(roofs: DrawnRoofs) -> None:
     """The loss that is minimised becomes that of heights known to decimetres."""
     torch.manual_seed(0)
-    task = completion.CompletionTask(RoofCompletion(), roofs, 8, 0)
+    task = completion.CompletionTask(RoofCompletion(), roofs, 4, 0)
     optimiser = torch.optim.Adam(task.module.parameters(), 3e-4)
     losses = []
-    for _ in range(40):
+    for _ in range(30):
         loss = task.step(0, task.load(0))["loss"]
         optimiser.zero_grad()
         loss.backward()
