@@ -42,13 +42,12 @@ dry-run: $(INSTALLED)
 test: $(INSTALLED)
 	$(MAKE) --jobs=2 --output-sync=target lint test-unit test-workflow
 
-# of the workflow, what needs no finished miniature: so the two take as long as each other
-BESIDE_UNIT := tests/workflow/test_dag.py tests/workflow/test_fetch.py
 test-unit: install
-	pytest --durations=15 tests/unit tests/faults $(BESIDE_UNIT)
+	pytest --durations=15 tests/unit
 
+# the longer half, as it alone can use both cores once the other is done
 test-workflow: install
-	pytest --durations=15 tests/workflow $(addprefix --ignore=,$(BESIDE_UNIT))
+	pytest --durations=15 tests/faults tests/workflow
 
 test-slow: install
 	pytest -m slow --timeout 3600

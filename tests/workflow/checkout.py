@@ -128,6 +128,12 @@ def _checked(run: subprocess.CompletedProcess[str], check: bool) -> subprocess.C
 
 
 REDUCED = ["-c2", "--configfile", "tests/mini/reduced.yaml"]
+# a tile of 140 buildings, and one of 52 with LiDAR; small tiles hold blocks of every split only if the blocks are small
+TILE, LIDAR_TILE, TILE_SIZE_M = "0653000_6861250", "0653250_6861000", 250
+SMALL_TILES = {
+    "region": {"tile_size_m": TILE_SIZE_M, "tiles": [TILE], "lidar_tiles": [LIDAR_TILE]},
+    "crops": {"block_size_m": 50, "guard_m": 2},
+}
 
 
 def rules_to_run(dry_run: subprocess.CompletedProcess[str]) -> dict[str, int]:

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 import yaml
-from checkout import ODD_NAME, REDUCED, Project
+from checkout import ODD_NAME, REDUCED, SMALL_TILES, Project
 
 
 @pytest.fixture
@@ -21,15 +21,15 @@ def fresh(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def done(tmp_path_factory):
-    """The reduced miniature after all stages, from a folder with a name that a shell would take apart;
+    """Small tiles of the reduced miniature after all stages, from a folder with a name that a shell would take apart;
     tests share it and change nothing in it."""
     project = Project(tmp_path_factory.mktemp("mini"))
     inputs = project.folder / ODD_NAME
     for name in ("bdtopo", "rgealti", "lidar"):
         shutil.copytree(project.folder / "tests/mini" / name, inputs / name)
     config = project.folder / "tests/mini/reduced.yaml"
-    settings = yaml.safe_load(config.read_text())
-    settings["fetch"] = settings.get("fetch", {}) | {
+    settings = yaml.safe_load(config.read_text()) | SMALL_TILES
+    settings["fetch"] = {
         "folder": {
             "footprints": f"{ODD_NAME}/bdtopo",
             "dtm": f"{ODD_NAME}/rgealti",

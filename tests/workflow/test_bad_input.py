@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from checkout import ROOT
+from checkout import ROOT, TILE, TILE_SIZE_M
 
 MINI = ROOT / "tests/mini"
 LAZ = next((MINI / "lidar").glob("*.laz"))
-TILE = "0653_6862"
 
 
 def error_of(run: subprocess.CompletedProcess[str]) -> str:
@@ -98,13 +97,14 @@ def test_terrain_with_a_hole_under_buildings(done, tmp_path):
     run = done.p2wss(
         "scenes", "cut", "--tile", TILE, "--footprints", "results/mini/fetch/footprints.gpkg",
         "--dtm", hole, "--out", out, "--out-dtm", tmp_path / "s.tif",
-        "--config", "{scenes: {max_failed_fraction: 1.0}}",
+        "--config", f"{{region: {{tile_size_m: {TILE_SIZE_M}}}, scenes: {{max_failed_fraction: 1.0}}}}",
     )  # fmt: skip
     status = gpd.read_parquet(out)["status"].value_counts()
     assert status["no-terrain"] > 50 and status["ok"] > 50 and "no-terrain" in run.stderr
     run = done.p2wss(
         "scenes", "cut", "--tile", TILE, "--footprints", "results/mini/fetch/footprints.gpkg",
-        "--dtm", hole, "--out", tmp_path / "t.parquet", "--out-dtm", tmp_path / "t.tif", check=False,
+        "--dtm", hole, "--out", tmp_path / "t.parquet", "--out-dtm", tmp_path / "t.tif",
+        "--config", f"{{region: {{tile_size_m: {TILE_SIZE_M}}}}}", check=False,
     )  # fmt: skip
     assert "max_failed_fraction" in error_of(run)
 

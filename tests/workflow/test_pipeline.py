@@ -9,7 +9,7 @@ import zipfile
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from checkout import ODD_NAME, REDUCED, Project, rules_to_run
+from checkout import ODD_NAME, REDUCED, TILE, Project, rules_to_run
 
 NOTHING = "Nothing to be done"
 SCANS_AND_WHAT_FOLLOWS = {
@@ -136,22 +136,21 @@ def test_weights_in_a_folder_with_an_odd_name_are_used(again):
 def test_one_stage_can_be_redone_by_name(done):
     jobs = planned(done, "all", "-R", "cast_scan")
     assert set(jobs) - {"all"} == SCANS_AND_WHAT_FOLLOWS
-    assert set(planned(done, "-f", "results/mini/scans/0653_6862.laz")) == {"cast_scan"}
+    assert set(planned(done, "-f", f"results/mini/scans/{TILE}.laz")) == {"cast_scan"}
 
 
 def test_the_scan_is_the_same_with_other_threads(done, tmp_path):
     results = done.folder / "results/mini"
-    tile = "0653_6862"
     config = json.dumps({"scans": {"density_per_m2": 5.0}})
-    scene = ["--scene", results / f"scenes/{tile}.parquet", "--dtm", results / f"scenes/{tile}.tif"]
+    scene = ["--scene", results / f"scenes/{TILE}.parquet", "--dtm", results / f"scenes/{TILE}.tif"]
     done.p2wss(
-        "scans", *scene, "--buildings", results / f"buildings/{tile}.parquet", "--out", tmp_path / "s.laz",
+        "scans", *scene, "--buildings", results / f"buildings/{TILE}.parquet", "--out", tmp_path / "s.laz",
         "--out-survey", tmp_path / "s.json",
         "--threads", 2, "--config", config,
     )  # fmt: skip
     import laspy
     import numpy as np
 
-    first, second = laspy.read(results / f"scans/{tile}.laz"), laspy.read(tmp_path / "s.laz")
+    first, second = laspy.read(results / f"scans/{TILE}.laz"), laspy.read(tmp_path / "s.laz")
     for dimension in ("X", "Y", "Z", "building_id", "face_id", "gps_time"):
         assert np.array_equal(first[dimension], second[dimension]), dimension
