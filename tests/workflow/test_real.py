@@ -41,7 +41,7 @@ def test_real_footprints_from_fetch_to_crops(project):
                 "dtm": str(DATA / "olemps_bdtopo/dtm"),
             }
         },
-        "scans": {"density_per_m2": 3.0},
+        "scans": {"density_per_m2": 2.0, "density_bounds_per_m2": [1.0, 30.0]},
     }
     (project.folder / "olemps.yaml").write_text(yaml.safe_dump(config))
     project.snakemake("crops", "-c2", "--configfile", "olemps.yaml")
