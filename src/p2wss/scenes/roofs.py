@@ -79,10 +79,11 @@ def _draw_realistic(
     """Angles of a random roof type. A type that is impossible on the footprint is replaced by the nearest one.
 
     * An edge at a reflex corner never gets 90 degrees, which would raise a wall out of the roof.
-    * Party walls are vertical, so that the ridges of row houses run along the street.
+    * Party walls are vertical, so that the ridges of row houses run along the street. A single other edge
+      has the slope of a shed roof, and party walls all around leave a flat one.
     * Courtyards have eaves; a closed ring of wings has no gables.
     * Parallel edges share their angle (one gable roof in ten has two different sides).
-    * Angles are drawn from those whose roof rises by at most ``max_rise_m``.
+    * Angles are drawn from those whose roof rises by at most ``max_rise_m`` over the largest circle in the footprint.
     """
     shares = config.roof_shares.model_dump()
     names = [name.replace("_", "-") for name in shares]
@@ -97,14 +98,17 @@ def _draw_realistic(
     party = edges.is_party & ~at_reflex
     pitches = SLOPES_DEG[edges.radius_m * np.tan(np.radians(SLOPES_DEG)) <= config.max_rise_m]
 
-    if roof_type == "flat" or not len(pitches):
+    if roof_type == "flat" or not len(pitches) or party.all():
         return "flat", np.zeros(len(length_m))
     if roof_type == "mixed":
         return "mixed", _draw_mixed(at_reflex, party, pitches, rng)
-    if roof_type == "shed":
+    is_lean_to = (~party).sum() == 1
+    if roof_type == "shed" or is_lean_to:
         shed = _draw_shed(edges, vector_m, length_m, at_reflex, config.max_rise_m, rng)
         if shed is not None:
             return "shed", shed
+        if is_lean_to:
+            return "flat", np.zeros(len(length_m))
         roof_type = "gable"
 
     ends = _gable_ends(edges, length_m, turn_deg, turn_after_deg, party, vector_m)
@@ -239,5 +243,6 @@ def _draw_mixed(
     angle[~is_flat & (chance < _MIXED_FLAT + _MIXED_VERTICAL) & ~at_reflex] = 90
     angle[party] = 90
     if not np.any((angle > 0) & (angle < 90)):
-        angle[slope_edge] = float(rng.choice(pitches))
+        free = np.flatnonzero(~party)
+        angle[free[slope_edge % len(free)]] = float(rng.choice(pitches))
     return angle

@@ -125,6 +125,21 @@ def test_party_walls_are_vertical_and_ridges_follow_the_street() -> None:
     assert (angles[:, walls] == 90).all()
 
 
+def test_party_walls_leave_a_shed_roof_or_a_flat_one() -> None:
+    """A gable over three party walls is a shed roof, too high for its depth, and over four no roof at all."""
+    yard = shapely.box(0, 0, 8, 12)
+    for roof_type in ("gable", "hip", "half_hip", "shed"):
+        names, angles = draws(yard, Scenes(roof_shares=only(roof_type)), 50, party=[0, 1, 2])
+        assert set(names) == {"shed"} and (angles[:, :3] == 90).all()
+        depth_m = 8 if edges_of(yard).xy_m[3, 0] == edges_of(yard).xy_m[0, 0] else 12
+        assert (depth_m * np.tan(np.radians(angles[:, 3]))).max() <= 7
+    for roof_type in ("gable", "hip", "half_hip", "shed", "mixed"):
+        names, angles = draws(yard, Scenes(roof_shares=only(roof_type)), 20, party=[0, 1, 2, 3])
+        assert set(names) == {"flat"} and not angles.any()
+    _, angles = draws(yard, Scenes(roof_shares=only("mixed")), 300, party=[0, 2])
+    assert (angles[:, [0, 2]] == 90).all()
+
+
 def test_courtyards_have_eaves() -> None:
     names, angles = draws(COURTYARD, Scenes(roof_shares=only("gable")), 40)
     assert set(names) == {"hip"}
