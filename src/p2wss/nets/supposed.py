@@ -43,7 +43,7 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
     longest edge of the footprint gives the frame, so that the result turns with the building.
     """
     ring_m = _simple_ring(polygon)
-    if ring_m is None or np.ptp(ring_m, axis=0).max() > MAX_SIZE_M:
+    if ring_m is None:
         return np.zeros((0, 3))
     edge_m = np.roll(ring_m, -1, axis=0) - ring_m
     # of two as long as each other, the first, whatever the rounding
@@ -51,6 +51,8 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
     cos, sin = along / np.hypot(*along)
     in_frame_m = _turned(ring_m, cos, -sin)
     low_m, high_m = in_frame_m.min(axis=0), in_frame_m.max(axis=0)
+    if (high_m - low_m).max() > MAX_SIZE_M:
+        return np.zeros((0, 3))
     middle_m = (low_m + high_m) / 2
     place_m = _turned(_grid(low_m, high_m, polygon.area), cos, sin)
     place_m = place_m[shapely.contains_xy(polygon, *place_m.T)]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+import shapely.affinity
 import torch
 from completion_network import Mixture, RoofCompletion, completion_loss
 
@@ -179,8 +180,9 @@ def test_too_many_vertices_and_too_many_points() -> None:
     radius_m = np.where(np.arange(90) % 2, 20, 9)[:, None]
     star = shapely.Polygon(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]))
     assert supposed_roof(star, few_points(9), np.zeros((0, 3))).shape == (0, 3)
-    long = shapely.box(0, 0, 95, 8)
-    assert supposed_roof(long, few_points(9), np.zeros((0, 3))).shape == (0, 3)
+    for turn_deg in (0, 45):  # of the building, not of the box around it
+        long = shapely.affinity.rotate(shapely.box(0, 0, 95, 8), turn_deg)
+        assert supposed_roof(long, few_points(9), np.zeros((0, 3))).shape == (0, 3)
     thin = shapely.box(0, 0, 12, 0.05)
     assert len(supposed_roof(thin, few_points(9), np.zeros((0, 3)))) < 200
     many = supposed_roof(HOUSE, few_points(3000), few_points(500, 1) + np.array([0, 20, 0]))
