@@ -165,6 +165,7 @@ def simulate(
     survey, points, num_pulses = fly(surface, place, settings, seed, threads, chunk_pulses)
     facts = {
         "seed": seed,
+        "origin_m": origin.tolist(),
         "survey": survey.parameters,
         "pulses": num_pulses,
         **_point_facts(points, origin, bounds),
@@ -260,7 +261,7 @@ def las_dimensions(points: Points, survey: Survey) -> dict[str, np.ndarray]:
         "classification": las_classes(points.face),
         "return_number": np.ones(len(x_mm), np.uint8),
         "number_of_returns": np.ones(len(x_mm), np.uint8),
-        "point_source_id": points.strip,
+        "point_source_id": points.strip + np.uint16(1),  # LAS reserves 0
         "gps_time": start_s[points.strip] + points.pulse / survey.parameters["pulse_rate_hz"],
         "building_id": points.building,
         "face_id": points.face,

@@ -111,6 +111,7 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
     ]
     parameters["strips"] = [
         {
+            "point_source_id": s.path.number + 1,
             "start_xy_m": [s.path.start_x_m, s.path.start_y_m],
             "heading_deg": float(90 - np.degrees(s.path.heading_rad)) % 360,
             "duration_s": s.path.duration_s,

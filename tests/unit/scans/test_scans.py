@@ -127,7 +127,7 @@ def test_the_file_has_every_column(scan, tmp_path):
     np.testing.assert_array_equal(las.building_id, scan.points.building)
     np.testing.assert_array_equal(las.face_id, scan.points.face)
     np.testing.assert_array_equal(las.classification, np.where(scan.points.building < 0, 2, 6))
-    np.testing.assert_array_equal(las.point_source_id, scan.points.strip)
+    np.testing.assert_array_equal(las.point_source_id, scan.points.strip + 1)
     np.testing.assert_array_equal(las.scan_angle, scan.points.scan_angle)
     np.testing.assert_array_equal(las.intensity, scan.points.intensity)
     assert set(las.return_number) == set(las.number_of_returns) == {1}
@@ -150,6 +150,16 @@ def test_command_line(tmp_path):
     first, second = laspy.read(tmp_path / "a.laz"), laspy.read(tmp_path / "b.laz")
     np.testing.assert_array_equal(first.points.array, second.points.array)
     survey = json.loads((tmp_path / "a.json").read_text())
+    # where a strip is follows from the file alone: its points are seen at their angles
+    strips = {each["point_source_id"]: each for each in survey["survey"]["strips"]}
+    assert set(np.unique(first.point_source_id)) <= set(strips) and 0 not in strips
+    for number in np.unique(first.point_source_id):
+        strip, points = strips[number], first[first.point_source_id == number]
+        forward = np.radians(strip["heading_deg"])
+        x_m, y_m = np.add(strip["start_xy_m"], survey["origin_m"][:2])
+        right_m = (np.asarray(points.x) - x_m) * np.cos(forward) - (np.asarray(points.y) - y_m) * np.sin(forward)
+        down_m = survey["survey"]["altitude_m"] + survey["origin_m"][2] - np.asarray(points.z)
+        assert np.degrees(np.arctan2(right_m, down_m)) == pytest.approx(points.scan_angle * 0.006, abs=0.2)
     assert survey["tile"] == TILE and survey["num_points"] == len(first.points)
     assert json.loads(survey["config"])["scans"]["density_per_m2"] == 4
 
