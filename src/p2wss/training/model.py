@@ -162,7 +162,13 @@ def prediction_errors(
     """Signed errors of heights (n,) in m and angles (edges,) in degrees, of labelled buildings whose footprint is
     known."""
     ground_m = [np.array([0, 0, dataset.ground_z_m[i]]) for i in index]
-    clouds = [0.01 * dataset.cloud_cm(i) - ground for i, ground in zip(index, ground_m, strict=True)]
+    # as in a reconstruction, a network that learnt from the points on buildings gets these
+    num_points = dataset.num_on_building * predictor.on_building
+    num_points = np.where(num_points > 0, num_points, np.diff(dataset.point_offset))[index]
+    clouds = [
+        0.01 * dataset.cloud_cm(i)[:num] - ground
+        for i, num, ground in zip(index, num_points, ground_m, strict=True)
+    ]
     prediction = predictor.predict(clouds, [[dataset.ring_m(i)] for i in index])
     angle = [
         predicted - dataset.edge_angles_deg(i)

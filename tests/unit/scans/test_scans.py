@@ -157,7 +157,9 @@ def test_command_line(tmp_path):
         strip, points = strips[number], first[first.point_source_id == number]
         forward = np.radians(strip["heading_deg"])
         x_m, y_m = np.add(strip["start_xy_m"], survey["origin_m"][:2])
-        right_m = (np.asarray(points.x) - x_m) * np.cos(forward) - (np.asarray(points.y) - y_m) * np.sin(forward)
+        right_m = (np.asarray(points.x) - x_m) * np.cos(forward) - (np.asarray(points.y) - y_m) * np.sin(
+            forward
+        )
         down_m = survey["survey"]["altitude_m"] + survey["origin_m"][2] - np.asarray(points.z)
         assert np.degrees(np.arctan2(right_m, down_m)) == pytest.approx(points.scan_angle * 0.006, abs=0.2)
     assert survey["tile"] == TILE and survey["num_points"] == len(first.points)

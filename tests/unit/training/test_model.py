@@ -250,6 +250,19 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
     assert np.array_equal(np.concatenate(prediction.angle_deg) - labelled.angle_deg, angle)
 
 
+def test_errors_of_a_network_of_points_on_buildings_are_with_these_alone(
+    predictor: Point2WssPredictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a reconstruction gives them to it."""
+    monkeypatch.setattr(predictor, "on_building", True)
+    clouds, rings = inputs(labelled)
+    num_on = labelled.num_on_building
+    assert (num_on < np.diff(labelled.point_offset)).any()
+    clouds = [cloud[: num or None] for cloud, num in zip(clouds, num_on, strict=True)]
+    height, _ = model.prediction_errors(predictor, labelled, np.arange(len(labelled)))
+    assert np.allclose(predictor.predict(clouds, rings).eave_height_m - labelled.height_m, height, atol=1e-4)
+
+
 def test_courtyards_get_the_median_slope(predictor: Point2WssPredictor, labelled: BuildingDataset) -> None:
     clouds, rings = inputs(labelled)
     hole = np.array([[0, 0], [0, 1], [1, 1], [1, 0.0]])
