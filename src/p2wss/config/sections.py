@@ -66,6 +66,18 @@ class Config(Section):
         return self
 
     @model_validator(mode="after")
+    def _points_in_buffers(self) -> Self:
+        # at the border of a tile, a crop would lack a part of its points
+        if {"scans", "crops"} <= self.model_fields_set:
+            keys = {
+                f"dataset.members.{number}: ": each.scans for number, each in enumerate(self.dataset.members)
+            }
+            for key, changes in {"": {}, **keys}.items():
+                if changed(self.scans, changes, key).keep_margin_m < self.crops.buffer_m:
+                    raise ValueError(f"{key}scans.keep_margin_m must be at least crops.buffer_m")
+        return self
+
+    @model_validator(mode="after")
     def _vintages_have_one_source(self) -> Self:
         # terrain and clouds are stored by vintage and tile alone: of two members, both would get those of the first
         if not {"region", "fetch"} <= self.model_fields_set:

@@ -84,6 +84,17 @@ def test_the_margins_of_a_member_fit_each_other() -> None:
     load({**documents, "dataset": {"members": [wider]}})
 
 
+def test_a_scan_has_the_points_of_the_crops_at_its_border() -> None:
+    """Those of a wide buffer would lack up to a quarter of their points, without a word."""
+    documents = {"scans": {}, "crops": {"buffer_m": 5}}
+    load(documents)
+    member = {"name": "a", "scans": {"keep_margin_m": 4}}
+    with pytest.raises(InputError, match=r"dataset\.members\.0: scans\.keep_margin_m must be at least"):
+        load({**documents, "dataset": {"members": [member]}})
+    with pytest.raises(InputError, match=r"scans\.keep_margin_m must be at least crops\.buffer_m"):
+        load({**documents, "crops": {"buffer_m": 6}})
+
+
 def test_members_of_one_vintage_do_not_get_the_terrain_of_each_other() -> None:
     """Drawn towns all lie at the same place."""
     town = {"name": "town", "fetch": {"folder": {"dtm": "resources/towns/1/rgealti"}}}
