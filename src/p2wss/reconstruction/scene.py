@@ -29,7 +29,7 @@ from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, bounds_of_points, grown
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
-from p2wss.formats.meshes import Body, frame_around
+from p2wss.formats.meshes import VEGETATION, Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
@@ -324,6 +324,12 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             )
         bodies = self._bodies(settings.skin)
         frame = frame_around(bodies, "" if self.crs is None else self.crs.to_string())
+        materials = {"vegetation": settings.materials.vegetation}
+        bodies += [
+            Body.of_building(f"plant_{number}", each, materials)
+            for number, each in enumerate(self.plants, 1)
+            if len(each.triangle)
+        ]
         chosen = [each for each in dict.fromkeys(settings.outputs) if each in MESH_WRITERS]
         return [
             path
@@ -435,8 +441,13 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return explain.explain(self._run.inputs, self.config, building_id)
 
     def _bodies(self, skin: bool) -> list[Body]:
+        settings = self.config.reconstruct
         bodies = [
-            Body.of_building(each.building_id, each.solid) for each in self.values() if each.solid is not None
+            Body.of_building(
+                each.building_id, each.solid, exports.surface_materials(each.attributes, settings)
+            )
+            for each in self.values()
+            if each.solid is not None
         ]
         if not skin:
             return bodies
@@ -590,7 +601,12 @@ def read(path: str | Path) -> Scene:
     path = Path(path)
     objects, crs = cityjson_read.read_city(path)
     solids = [each for each in objects if each.is_building]
-    plants = [each.mesh for each in objects if not each.is_building]
+    # the file says of the object, and not of its triangles, that it is a plant
+    plants = [
+        replace(each.mesh, kind=np.full_like(each.mesh.kind, VEGETATION))
+        for each in objects
+        if not each.is_building
+    ]
     name = path.stem.removesuffix(".city")
     ids = [each.building_id for each in solids]
     return Scene(ids, lambda k: _of_file(solids[k]), crs, Config(), name, plants=plants)

@@ -134,7 +134,7 @@ def test_where_there_are_no_points_nothing_is_read(tmp_path: Path, monkeypatch: 
 
 
 def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> None:
-    frame = gpd.GeoDataFrame({"id": ["house"]}, geometry=[HOUSE], crs=2154)
+    frame = gpd.GeoDataFrame({"id": ["house"], "mat_murs": ["40"]}, geometry=[HOUSE], crs=2154)
     config = {
         "reconstruct": {"vegetation": True, "terrain_margin_m": 40, "materials": {"vegetation": "plywood"}}
     }
@@ -150,7 +150,13 @@ def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> N
     for name in ("town.city.json", "town.city.jsonl"):
         validity = p2wss.check(tmp_path / name)
         assert not validity.invalid
-    assert list(p2wss.read(tmp_path / "town.city.json")) == ["house"]
+    again = p2wss.read(tmp_path / "town.city.json")
+    assert list(again) == ["house"]
+    again.write(tmp_path / "again", ["obj", "sionna"])
+    document = json.loads((tmp_path / "again" / "town_sionna" / "scene.json").read_text())
+    materials = {name: each["material"] for name, each in document["shapes"].items()}
+    assert materials == {"house": "brick", "vegetation": "wood"}
+    assert (tmp_path / "again" / "town.obj").read_text().count("usemtl wood") == 2
     p2wss_view = ["view", str(tmp_path / "town.city.json"), "--out", str(tmp_path / "view.html")]
     assert cli.main(p2wss_view) == 0
     for page in ("town.html", "view.html"):
