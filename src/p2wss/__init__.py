@@ -362,8 +362,8 @@ def scan(
     Returns
     -------
     laspy.LasData
-        Points with LAS classes (2 ground, 6 building) and the extra dimensions ``building_id``, the number of the mesh,
-        and ``face_id``. Its ``write("a.laz")`` writes them.
+        Points with LAS classes (2 ground, 6 building) and the extra dimensions ``building_id``, the number of the mesh
+        from 0, and ``face_id``, 1 on its walls and 2 on its roof; both are -1 on the ground. Its ``write("a.laz")`` writes them.
 
     Raises
     ------

@@ -45,12 +45,12 @@ def scan_meshes(
     meshes = list(meshes) if isinstance(meshes, list | tuple | np.ndarray) else [meshes]
     if wrong := [each for each in meshes if not isinstance(each, trimesh.Trimesh)]:
         raise InputError(f"meshes: a {type(wrong[0]).__name__} is no trimesh.Trimesh")
-    meshes = [each for each in meshes if len(each.faces)]
-    if not meshes:
+    # a building without a mesh has a number, too
+    corner_m = [mesh.bounds for mesh in meshes if len(mesh.faces)]
+    if not corner_m:
         raise InputError("no mesh to scan")
     stated = None if crs is None else parsed_crs(crs, "crs")
-    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
-    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    low, high = np.min(corner_m, axis=(0, 1)), np.max(corner_m, axis=(0, 1))
     bounds = (
         float(low[0]) - _MARGIN_M,
         float(low[1]) - _MARGIN_M,

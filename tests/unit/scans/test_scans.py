@@ -8,8 +8,10 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
+import trimesh
 from toy_scene import TILE, TILE_SIZE_M, ground_m, house, houses, scans_inputs, table, terrain, write_scene
 
+import p2wss
 from p2wss.cli import main
 from p2wss.config import Scans
 from p2wss.data.terrain import Terrain
@@ -164,6 +166,17 @@ def test_command_line(tmp_path):
         assert np.degrees(np.arctan2(right_m, down_m)) == pytest.approx(points.scan_angle * 0.006, abs=0.2)
     assert survey["tile"] == TILE and survey["num_points"] == len(first.points)
     assert json.loads(survey["config"])["scans"]["density_per_m2"] == 4
+
+
+def test_meshes_have_their_numbers():
+    """Also behind a building without a mesh, as in a scene."""
+    roof = p2wss.roof([[0, 0], [10, 0], [10, 6], [0, 6]], 5, [45, 90, 45, 90])
+    survey = p2wss.scan(
+        [trimesh.Trimesh(), roof, trimesh.Trimesh(), roof.copy().apply_translation([20, 0, 0])]
+    )
+    assert set(np.unique(survey.building_id)) == {-1, 1, 3}
+    assert np.asarray(survey.x)[survey.building_id == 3].min() > 19
+    assert set(np.unique(survey.face_id)) == {-1, 1, 2}
 
 
 def test_files_of_different_tiles(tmp_path, capsys):
