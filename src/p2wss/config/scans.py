@@ -35,10 +35,15 @@ class Clutter(Section):
     dormer_share: Share = Field(0.1, description="share of buildings with one to three dormers, if they fit")
     chimney_share: Share = Field(0.4, description="share of buildings with a chimney")
     annex_share: Share = Field(
-        0.15, description="share of buildings with a garage or shed that is missing from the footprint"
+        0.15,
+        description="share of buildings with a garage or shed that is missing from the footprint, if it fits",
     )
     trees_per_building: float = Field(
-        0.4, ge=0, le=3, description="mean number of trees per building, beside walls and above roofs"
+        0.4,
+        ge=0,
+        le=3,
+        description="mean number of trees per building, beside walls and above roofs; those with the trunk on a "
+        "footprint are left out, in a town half of them",
     )
     eave_overhang_share: Share = Field(
         0.5, description="share of buildings whose footprint follows the eaves, with walls set back from it"
