@@ -112,7 +112,12 @@ def crops_labels(crops: Path, split: str, out: Path) -> None:
         "label_terrain_z_m": table["ground_z_m"].combine_chunks(),
         "angle_deg": [roof.angle_deg for roof in roofs],
     }
-    files.write_table(out, columns, CROPS, files.read_metadata(crops) | {"code": fingerprint("crops", "fit")})
+    metadata = files.read_metadata(crops)
+    num_excluded = Counter(metadata.get("num_excluded", {})) + Counter(
+        each for each in status if each != "ok"
+    )
+    metadata |= {"code": fingerprint("crops", "fit"), "num_excluded": dict(num_excluded)}
+    files.write_table(out, columns, CROPS, metadata)
 
 
 @crops.command("manifest")

@@ -323,9 +323,10 @@ def test_command_line_and_manifest(tmp_path, capsys):
     columns = {name: rows[name].to_pylist() for name in rows.column_names}
     for name in ("x_cm", "y_cm", "z_cm", "classification"):
         columns[name][0] = columns[name][0][:7]
-    files.write_table(sparse, columns, CROPS, {})
+    files.write_table(sparse, columns, CROPS, {"num_excluded": {"too-large": 2}})
     assert main(["crops", "labels", "--crops", sparse, "--split", "val", "--out", labelled]) == 0
     fitted = files.read_table(labelled, CROPS)
+    assert sum(files.read_metadata(labelled)["num_excluded"].values()) == 2 + 1
     rows = rows.slice(1)  # the roof of seven points is a guess
     assert set(fitted["split"].to_pylist()) == {"val"} and fitted["x_cm"] == rows["x_cm"]
     true_m, fitted_m = (
