@@ -22,6 +22,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+import trimesh
 from matplotlib import pyplot
 from places import ROOT, SHARED
 
@@ -251,6 +252,20 @@ def test_a_scene_is_closed_with_its_files_and_reading_one_gives_the_same_meshes(
         again.write(tmp_path, ["gpkg"])
     with pytest.raises(p2wss.InputError, match="name a folder"):
         again.write(tmp_path / "copy.obj", ["obj"])
+
+
+def test_meshes_of_a_file_in_feet_are_written_in_metres(tmp_path: Path) -> None:
+    with p2wss.reconstruct(gable_points(), footprints()[:1], model="none", progress=False) as scene:
+        scene.write(tmp_path, ["cityjson"], name="town")
+    path = tmp_path / "town.city.json"
+    city = json.loads(path.read_text())
+    city["metadata"]["referenceSystem"] = "https://www.opengis.net/def/crs/EPSG/0/2263"
+    path.write_text(json.dumps(city))
+    feet = p2wss.read(path)
+    feet.write(tmp_path, ["ply", "sionna"])
+    written = trimesh.load(tmp_path / "town.ply")
+    assert written.volume == pytest.approx(feet["a"].mesh.volume * (1200 / 3937) ** 3, rel=1e-3)
+    assert json.loads((tmp_path / "town_sionna" / "scene.json").read_text())["crs"] == "EPSG:32118"
 
 
 def test_outlines_of_an_array() -> None:

@@ -24,7 +24,7 @@ import shapely
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import CLASSES_ALONE, OUTPUT_SUFFIXES, Config, DeviceName, load, section_json
 from p2wss.data import polygon_arrays, reasons
-from p2wss.data.crs import MetricCrs
+from p2wss.data.crs import MetricCrs, metric_crs
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, bounds_of_points, grown
 from p2wss.formats import cityjson_read
@@ -205,6 +205,21 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         plants = [metric.mesh(plant) for plant in self.plants]
         return Scene(list(self), building, metric.crs, self.config, self.name, plants=plants)
 
+    def _in_metres(self) -> Scene:
+        """The scene of a file, in the CRS that a run on clouds in its CRS has: files of meshes are in metres."""
+        if self.crs is None or self.bounds is None:
+            return self
+        metric, _ = metric_crs(self.crs, self.bounds, self.name)
+        if metric.is_source:
+            return self
+        log.warning(
+            "warning: %s is in %s; its meshes are written in %s, in metres",
+            self.name,
+            self.crs.name,
+            metric.crs.name,
+        )
+        return self.converted(metric)
+
     def close(self) -> None:
         """Remove the temporary files of the run; the scene cannot be used afterwards."""
         if self._run is not None:
@@ -322,12 +337,13 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             raise InputError(
                 f"{self.name}: {others[0]} needs a reconstruction; choose from {', '.join(MESH_WRITERS)}"
             )
-        bodies = self._bodies(settings.skin)
-        frame = frame_around(bodies, "" if self.crs is None else self.crs.to_string())
+        scene = self._in_metres()
+        bodies = scene._bodies(settings.skin)
+        frame = frame_around(bodies, "" if scene.crs is None else scene.crs.to_string())
         materials = {"vegetation": settings.materials.vegetation}
         bodies += [
             Body.of_building(f"plant_{number}", each, materials)
-            for number, each in enumerate(self.plants, 1)
+            for number, each in enumerate(scene.plants, 1)
             if len(each.triangle)
         ]
         chosen = [each for each in dict.fromkeys(settings.outputs) if each in MESH_WRITERS]
