@@ -363,7 +363,8 @@ def scan(
     -------
     laspy.LasData
         Points with LAS classes (2 ground, 6 building) and the extra dimensions ``building_id``, the number of the mesh
-        from 0, and ``face_id``, 1 on its walls and 2 on its roof; both are -1 on the ground. Its ``write("a.laz")`` writes them.
+        from 0, and ``face_id``, 1 on its walls and 2 on its roof; both are -1 on the ground. Its ``write("a.laz")``
+        writes them.
 
     Raises
     ------

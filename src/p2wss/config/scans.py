@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from p2wss.config.base import (
     HalfAngleRange,
@@ -137,3 +137,12 @@ class Scans(Section):
     keep_margin_m: float = Field(
         5, ge=0, le=100, description="margin around the tile and its buildings within which points are kept"
     )
+
+    @model_validator(mode="after")
+    def _density_within_bounds(self) -> Self:
+        low, high = self.density_bounds_per_m2
+        if self.preset == "hd" and not low <= (self.density_per_m2 or low) <= high:
+            raise ValueError(
+                "density_per_m2 must be within density_bounds_per_m2, to which it would be changed"
+            )
+        return self

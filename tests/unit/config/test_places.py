@@ -95,6 +95,14 @@ def test_a_scan_has_the_points_of_the_crops_at_its_border() -> None:
         load({**documents, "crops": {"buffer_m": 6}})
 
 
+def test_the_density_of_a_scan_is_within_its_bounds() -> None:
+    """All scenes would have that of the nearest bound."""
+    with pytest.raises(InputError, match="density_per_m2 must be within density_bounds_per_m2"):
+        load({"scans": {"density_per_m2": 2}})
+    load({"scans": {"density_per_m2": 2, "density_bounds_per_m2": [1, 30]}})
+    load({"scans": {"density_per_m2": 2, "preset": "paper"}})
+
+
 def test_members_of_one_vintage_do_not_get_the_terrain_of_each_other() -> None:
     """Drawn towns all lie at the same place."""
     town = {"name": "town", "fetch": {"folder": {"dtm": "resources/towns/1/rgealti"}}}

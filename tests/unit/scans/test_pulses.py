@@ -12,7 +12,9 @@ BOX = Box(-60.0, -60.0, 60.0, 60.0, -20.0, 30.0)
 
 def survey(pattern, **changes):
     shares = {name: float(name == pattern) for name in PATTERNS}
-    settings = Scans(pattern_shares=shares, altitude_m=(400, 500), density_per_m2=1, **changes)
+    settings = Scans(
+        pattern_shares=shares, altitude_m=(400, 500), density_per_m2=5, density_spread=0, **changes
+    )
     return plan(settings, 7, BOX, BOX)
 
 

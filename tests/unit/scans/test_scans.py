@@ -142,7 +142,7 @@ def test_the_file_has_every_column(scan, tmp_path):
 
 def test_command_line(tmp_path):
     inputs = scans_inputs(*write_scene(tmp_path))
-    config = '{"scans": {"density_per_m2": 4}}'
+    config = '{"scans": {"density_per_m2": 6}}'
     for threads, name in (("1", "a"), ("2", "b")):
         out = ["--out", str(tmp_path / f"{name}.laz"), "--out-survey", str(tmp_path / f"{name}.json")]
         out += ["--picture", str(tmp_path / f"{name}.png")]
@@ -165,7 +165,7 @@ def test_command_line(tmp_path):
         down_m = survey["survey"]["altitude_m"] + survey["origin_m"][2] - np.asarray(points.z)
         assert np.degrees(np.arctan2(right_m, down_m)) == pytest.approx(points.scan_angle * 0.006, abs=0.2)
     assert survey["tile"] == TILE and survey["num_points"] == len(first.points)
-    assert json.loads(survey["config"])["scans"]["density_per_m2"] == 4
+    assert json.loads(survey["config"])["scans"]["density_per_m2"] == 6
 
 
 def test_meshes_have_their_numbers():
