@@ -339,7 +339,7 @@ def scan(
     *,
     crs: str | pyproj.CRS | None = None,
     config: Config | str | Path | dict[str, Any] | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     threads: int = 1,
 ) -> laspy.LasData:
     """An airborne LiDAR survey over meshes, simulated by ray casting (section 5.1 of the paper).
@@ -356,7 +356,8 @@ def scan(
         Of the points.
     config : path, dict or Config, optional
         Its section ``scans`` describes the scanner and the flight.
-    seed : int
+    seed : int, optional
+        By default that of the config.
     threads : int
 
     Returns

@@ -33,7 +33,7 @@ def scan_meshes(
     terrain: str | Path | None,
     crs: str | pyproj.CRS | None,
     settings: Scans,
-    seed: int = 0,
+    seed: int | None = None,
     threads: int = 1,
 ) -> laspy.LasData:
     """See :func:`p2wss.scan`."""
@@ -63,6 +63,7 @@ def scan_meshes(
         raise InputError(f"{terrain}: has no height around the meshes")
     grid = local_grid(ground.height_m, ground.x_min_m, ground.y_max_m, ground.cell_m, origin)
     place = Place("the meshes", origin, bounds, bounds)
+    seed = settings.seed if seed is None else seed
     survey, points, _ = fly(_surface(meshes, grid, origin), place, settings, seed, threads)
     return as_las(las_dimensions(points, survey), origin, stated)
 

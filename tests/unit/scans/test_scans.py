@@ -177,6 +177,12 @@ def test_meshes_have_their_numbers():
     assert set(np.unique(survey.building_id)) == {-1, 1, 3}
     assert np.asarray(survey.x)[survey.building_id == 3].min() > 19
     assert set(np.unique(survey.face_id)) == {-1, 1, 2}
+    # the seed of the config counts unless another is given
+    first, second, third = (
+        p2wss.scan(roof, config={"scans": {"seed": of_config}}, seed=seed).xyz
+        for of_config, seed in ((1, None), (2, None), (2, 1))
+    )
+    assert np.array_equal(first, third) and not np.array_equal(first, second)
 
 
 def test_files_of_different_tiles(tmp_path, capsys):
