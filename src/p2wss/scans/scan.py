@@ -23,7 +23,7 @@ from p2wss.scans.clutter import LocalBuildings, add_clutter
 from p2wss.scans.pulses import Box
 from p2wss.scans.returns import Points
 from p2wss.scans.surface import CLUTTER_KIND, Surface, encode_face, is_tree, las_classes
-from p2wss.scans.survey import Survey, plan
+from p2wss.scans.survey import PAPER_ALTITUDE_M, Survey, plan
 from p2wss.scans.terrain import local_grid
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
@@ -198,10 +198,12 @@ def fly(
     Raises :class:`InputError` if the surface rises to the altitude of the flight.
     """
     low, high = surface.z_range_m()
-    if high + _CLEARANCE_M > settings.altitude_m[0]:
+    is_paper = settings.preset == "paper"
+    if high + _CLEARANCE_M > (PAPER_ALTITUDE_M if is_paper else settings.altitude_m[0]):
         raise InputError(
             f"{place.name}: its highest surface is {high:.0f} m above the median ground; "
-            f"set scans.altitude_m above {high + _CLEARANCE_M:.0f} m"
+            + ("choose another scans.preset and " if is_paper else "")
+            + f"set scans.altitude_m above {high + _CLEARANCE_M:.0f} m"
         )
     box = _box(place.around, place.origin_m, low, high)
     survey = plan(settings, seed, box, _box(place.bounds, place.origin_m, low, high))

@@ -45,9 +45,10 @@ _ERRORS = (
     "speckle",
 )
 # the defaults of the public simulator behind the paper (Marchand et al. 2021, github.com/umrlastig/SurfaceReconEval)
+PAPER_ALTITUDE_M = 1000.0
 _PAPER = {
     "pattern": "conical",
-    "altitude_m": 1000.0,
+    "altitude_m": PAPER_ALTITUDE_M,
     "half_angle_deg": 20.0,
     "speed_m_per_s": 60.0,
     "scan_rate_hz": 150.0,

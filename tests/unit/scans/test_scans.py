@@ -118,6 +118,16 @@ def test_terrain_that_cannot_be_used():
         )
 
 
+def test_the_flight_of_the_paper_is_at_its_own_altitude():
+    low = Scans(preset="paper", altitude_m=(50, 60), density_per_m2=1)
+    assert len(scans.simulate(table(houses()), terrain(), TILE, TILE_SIZE_M, low).points.pulse)
+    peak = terrain()
+    peak.height_m[70, 70] += 950
+    high = low.model_copy(update={"altitude_m": (2000, 3000)})
+    with pytest.raises(InputError, match=r"another scans\.preset"):
+        scans.simulate(table(houses()), peak, TILE, TILE_SIZE_M, high)
+
+
 def test_the_file_has_every_column(scan, tmp_path):
     path = tmp_path / "scan.laz"
     scans.write_scan(path, scan, pyproj.CRS(2154))
