@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import clouds_argument, config_option, crs_option
+from p2wss.cli.common import classes_option, clouds_argument, config_option, crs_option
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
@@ -20,6 +20,7 @@ from p2wss.storage import files
 @setting("reconstruct.footprint_layer", "--layer", metavar="NAME")
 @crs_option
 @setting("reconstruct.height_unit")
+@classes_option
 @config_option
 @option("--csv", type=PATH, help="CSV to write: one row per building")
 def evaluate(
@@ -35,6 +36,7 @@ def evaluate(
 
     Chamfer distances of mesh and roof, distance from the points to the mesh, triangles, watertightness.
     """
+    from p2wss.data.las_classes import class_set
     from p2wss.eval.files import evaluate, summary
 
     settings = config.reconstruct
@@ -46,6 +48,7 @@ def evaluate(
         crs=crs,
         height_unit=settings.height_unit,
         layer=settings.footprint_layer,
+        classes=class_set(**config.region.classes.model_dump()),
     )
     if csv is not None:
         files.write_text(csv, table.to_csv(float_format="%.4f", lineterminator="\n"))

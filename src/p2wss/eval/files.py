@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import MetricCrs
-from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
 from p2wss.footprints.cleaning import read_footprints
@@ -34,6 +34,7 @@ from p2wss.reconstruction.inputs import CloudInput, FootprintInput, as_footprint
 from p2wss.reconstruction.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.errors import InputError
+from p2wss.storage.log_lines import log
 
 # points up to this distance from the footprint are of the building
 BUFFER_M = 1.0
@@ -55,6 +56,7 @@ def evaluate(
     crs: str | None = None,
     height_unit: str = "",
     layer: str = "",
+    classes: ClassSet = LAS,
     seed: int = 0,
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
@@ -62,9 +64,10 @@ def evaluate(
     buildings: a CityJSON file or text sequence, a scene, or solids; in the CRS that a run on the clouds has, if they
     state none. Clouds are read as :func:`p2wss.reconstruct` reads them: measures are in metres, whatever the units of
     files. A building is that of the
-    footprint whose id is its name or its attribute ``id_field``, or else of the one that it overlaps most. id_field:
+    footprint that it touches whose id is its name or its attribute ``id_field``, or else of the one that it overlaps
+    most. id_field:
     column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none. height_unit: of the
-    heights of clouds, whatever they state. layer: of the footprints.
+    heights of clouds, whatever they state. layer: of the footprints. classes: of the clouds.
 
     Columns: ``status`` (``ok``, ``no mesh`` or ``too few points``, then without measures); ``num_points`` up to 1 m
     from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
@@ -75,7 +78,7 @@ def evaluate(
     solids, scene_crs = _solids(buildings)
     name = str(buildings) if isinstance(buildings, str | Path) else "buildings"
     bounds = bounds_of([each.mesh for each in solids])
-    cloud, conversion = read_cloud_of(scene_crs, bounds, name, clouds, crs, height_unit)
+    cloud, conversion = read_cloud_of(scene_crs, bounds, name, clouds, crs, height_unit, classes)
     if conversion is not None:
         solids = [replace(each, mesh=conversion.mesh(each.mesh)) for each in solids]
     frame = _footprints(footprints, id_field, cloud.crs, layer)
@@ -88,6 +91,10 @@ def evaluate(
     crops = defaultdict(list)
     for name, pairs in zip(parts.index, map(slice, offset[:-1], offset[1:]), strict=True):
         crops[name].append((point[pairs], point[pairs][inside[pairs]]))
+    if len(point) and not (cloud.classification[point[inside]] == BUILDING_CLASS).any():
+        log.warning(
+            "warning: no point on the footprints has class 6 (building): there are no distances to roofs"
+        )
     rows = []
     for name in frame.index:
         near, within = (np.unique(np.concatenate(members)) for members in zip(*crops[name], strict=True))
@@ -142,15 +149,25 @@ def _matched(
     """The solid of each footprint that has one; several of the same one, as those of its parts, are joined."""
     known: defaultdict[str, list[ReadSolid]] = defaultdict(list)
     unknown: defaultdict[str, list[ReadSolid]] = defaultdict(list)
+    num_elsewhere = 0
     for solid in solids:
         if not len(solid.mesh.triangle):
             continue
         values = [solid.building_id, *(solid.attributes.get(name) for name in (id_field or "", *GENERIC.ids))]
-        ids = [str(value) for value in values if str(value) in footprints.index]
+        named = [str(value) for value in values if str(value) in footprints.index]
+        # numbers of another program may be ids of other footprints
+        around = shapely.box(*(bounds_of([solid.mesh]) or ()))
+        ids = [name for name in named if footprints[name].intersects(around)]
+        num_elsewhere += bool(named) and not ids
         if ids:
             known[ids[0]].append(solid)
         elif (nearest := _most_overlapped(solid, footprints)) is not None:
             unknown[nearest].append(solid)
+    if num_elsewhere:
+        log.warning(
+            "warning: buildings that are not on the footprint of their id: %d; each counts for one that it overlaps",
+            num_elsewhere,
+        )
     return {
         name: replace(members[0], mesh=Mesh.joined([each.mesh for each in members]))
         for name, members in (unknown | known).items()

@@ -28,6 +28,8 @@ _KIND = {
 }
 # city objects that are read: buildings and plants
 _TYPES = ("Building", "SolitaryVegetationObject", "PlantCover")
+# children of a building that are inside it, and repeat its surfaces
+_INSIDE = ("BuildingRoom", "BuildingUnit", "BuildingStorey", "BuildingFurniture")
 # buildings with roof planes, as files name their level of detail, the best first
 _LODS = ("2.2", "2.3", "2.0", "2", "2.1")
 # geometries that are read: how many lists there are around each polygon
@@ -69,6 +71,12 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
                 path,
                 repeated,
             )
+        if not any(len(each.mesh.triangle) for each in solids):
+            objects = [each for document in documents for each in document.get("CityObjects", {}).values()]
+            lods = {str(given.get("lod")) for each in objects for given in each.get("geometry", [])}
+            if lods:
+                text = "warning: %s: no geometry is of level of detail 2, and no other is read; its levels are %s"
+                log.warning(text, path, ", ".join(sorted(lods)))
         stated = documents[0].get("metadata", {}).get("referenceSystem")
         return list(by_id.values()), None if stated is None else pyproj.CRS.from_user_input(stated)
 
@@ -192,9 +200,12 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
     for name, building in objects.items():
         if building["type"] not in _TYPES:
             continue
-        members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
+        names = [name]
+        for parent in names:  # those of parts, too
+            children = [child for child in objects[parent].get("children", []) if child in objects]
+            names += [each for each in children if each not in names and objects[each]["type"] not in _INSIDE]
         triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
-        for member in members:
+        for member in (objects[each] for each in names):
             given = [each for each in member.get("geometry", []) if each["type"] in _DEPTHS]
             by_lod = [[each for each in given if str(each.get("lod")) == lod] for lod in _LODS]
             best = next(filter(None, by_lod), [])

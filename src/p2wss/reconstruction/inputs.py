@@ -286,6 +286,7 @@ def read_cloud_of(
     clouds: CloudInput,
     crs: str | None = None,
     height_unit: str = "",
+    classes: ClassSet = LAS,
 ) -> tuple[Cloud, MetricCrs | None]:
     """(all points in metres in the CRS of buildings from a file, what converts these buildings into it).
 
@@ -296,18 +297,18 @@ def read_cloud_of(
     headers, points = open_clouds(clouds)
     header = reading.common_header(headers) or headers[0]
     if header.crs is None and crs is None and scene is None:
-        return read_cloud(headers, points, None), None
+        return read_cloud(headers, points, None, classes), None
     source, note = common_crs(header.crs, scene, crs, (str(header.path), name), header.bounds)
     metric, note_of_units = _metric(source, headers, points, height_unit)
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)
     if scene is None:
-        return read_cloud(headers, points, metric), None
+        return read_cloud(headers, points, metric, classes), None
     of_scene, _ = metric_crs(scene, bounds, name)
     if metric.horizontal_m is None and not same_crs(metric.crs, of_scene.crs):
         metric = replace(metric, crs=of_scene.crs)  # another zone than the clouds alone would be in
     check_crs(metric.crs, of_scene.crs, header.path, f"{name} is", "reproject one of them")
-    return read_cloud(headers, points, metric), None if of_scene.is_source else of_scene
+    return read_cloud(headers, points, metric, classes), None if of_scene.is_source else of_scene
 
 
 def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:

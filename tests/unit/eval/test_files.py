@@ -18,8 +18,10 @@ from places import SHARED
 
 from p2wss import cli
 from p2wss.eval.files import evaluate, summary
+from p2wss.formats import cityjson
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.mesh import Mesh
+from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
 
 DELFT = SHARED / "data" / "delft_ahn3"
@@ -97,6 +99,41 @@ def test_buildings_without_a_known_id_are_those_of_the_footprints_that_they_over
     parts = [replace(box(name, east), attributes={"id": "a"}) for name, east in (("a-1", -2.0), ("a-2", 3.0))]
     of_parts = evaluate(parts, *place[:1], [place[1]])
     assert pair["num_triangles"].iloc[0] == of_parts["num_triangles"].iloc[0] == 24
+
+
+def test_numbers_of_another_program_are_no_ids_of_footprints_elsewhere(
+    place: tuple[Path, Path], caplog: pytest.LogCaptureFixture
+) -> None:
+    footprints, cloud = place
+    right = evaluate([box("a", 0.0), box("b", 30.0)], footprints, cloud)
+    with caplog.at_level("WARNING", "p2wss"):
+        exchanged = evaluate([box("b", 0.0), box("a", 30.0)], footprints, cloud)
+    assert exchanged.equals(right)
+    assert "not on the footprint of their id: 2" in caplog.text
+
+
+def test_points_on_roofs_are_those_of_the_classes_of_the_producer(
+    place: tuple[Path, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    footprints, cloud = place
+    las = laspy.read(cloud)
+    las.classification = np.full(len(las), 67, np.uint8)
+    las.write(tmp_path / "cloud.laz")
+    config = tmp_path / "classes.yaml"
+    config.write_text("region: {classes: {preset: custom, building: [67], ground: [2]}}", encoding="utf-8")
+    solid = box("a", 0.0).mesh
+    faces = [
+        Surface(kind, -1, [rings])
+        for kind, rings in zip(solid.kind.tolist(), solid.triangle.tolist(), strict=True)
+    ]
+    scene = cityjson.document_pieces([cityjson.Solid("a", solid.vertex_m, faces)], cityjson.Metadata())
+    (tmp_path / "x.city.json").write_text("".join(scene), encoding="utf-8")
+    files = [str(each) for each in (tmp_path / "x.city.json", footprints, tmp_path / "cloud.laz")]
+    csv = str(tmp_path / "x.csv")
+    assert cli.main(["evaluate", *files, "--csv", csv]) == 0
+    assert "no point on the footprints has class 6" in caplog.text
+    assert cli.main(["evaluate", *files, "--csv", csv, "--config", str(config)]) == 0
+    assert pd.read_csv(csv)["points_to_mesh_m"].iloc[0] == pytest.approx(0.3, abs=0.05)
 
 
 @pytest.mark.skipif(not JUDGE.is_file(), reason="no real data beside the checkout")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -316,6 +317,36 @@ def test_all_solids_of_an_object_are_read_and_the_surfaces_beside_them_are_not(t
     path.write_text(json.dumps(document), encoding="utf-8")
     *apart, together = (len(each.mesh.triangle) for each in cityjson_read.read(path))
     assert together == sum(apart)
+
+
+def test_parts_of_parts_are_read_and_rooms_are_not(tmp_path: Path) -> None:
+    solid, _, _ = solid_of("gables")
+    document = json.loads("".join(cityjson.document_pieces([solid], cityjson.Metadata())))
+    (house,) = document["CityObjects"].values()
+    parent = {"type": "Building", "children": ["part", "room", "storey"]}
+    part, room = {"type": "BuildingPart", "children": ["inner"]}, house | {"type": "BuildingRoom"}
+    nested = {
+        "parent": parent,
+        "part": part,
+        "room": room,
+        "storey": room | {"type": "BuildingStorey"},
+        "inner": house | {"type": "BuildingPart"},
+    }
+    document["CityObjects"] |= nested
+    path = tmp_path / "x.city.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    plain, of_parts = (len(each.mesh.triangle) for each in cityjson_read.read(path))
+    assert plain == of_parts
+
+
+def test_a_file_of_other_levels_of_detail_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    solid, _, _ = solid_of("gables")
+    text = "".join(cityjson.document_pieces([solid], cityjson.Metadata()))
+    text = re.sub(r'("lod": ?)"2[^"]*"', r'\1"1.2"', text)
+    (tmp_path / "x.city.json").write_text(text, encoding="utf-8")
+    with caplog.at_level("WARNING", "p2wss"):
+        (only,) = cityjson_read.read(tmp_path / "x.city.json")
+    assert not len(only.mesh.triangle) and "its levels are 1.2" in caplog.text
 
 
 def test_text_with_what_python_takes_for_the_end_of_a_line_is_read(tmp_path: Path) -> None:
