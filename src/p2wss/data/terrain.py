@@ -115,6 +115,12 @@ def check_size(raster: rasterio.DatasetReader, path: str | Path, read: tuple[int
         )
 
 
+def check_north_up(transform: rasterio.Affine, path: str | Path) -> None:
+    """Raise :class:`InputError` for a raster that is rotated, south-up, or has cells that are not square."""
+    if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
+        raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
+
+
 def read_terrain(
     path: str | Path,
     crs: str | None = None,
@@ -143,15 +149,7 @@ def read_terrain(
         warnings.simplefilter("ignore")  # what it lacks is said below
         with rasterio.open(path) as raster:
             transform, stated, num_bands = raster.transform, raster.crs, raster.count
-            if (
-                transform.b
-                or transform.d
-                or transform.a <= 0
-                or abs(transform.a + transform.e) > 1e-6 * transform.a
-            ):
-                raise InputError(
-                    f"{path}: must be a north-up raster with square cells; resample it with gdalwarp"
-                )
+            check_north_up(transform, path)
             with reading(path, "a raster in a CRS that PROJ knows"):
                 stated = None if stated is None else placed(pyproj.CRS.from_user_input(stated))
                 terrain_crs = (

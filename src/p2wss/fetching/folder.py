@@ -17,17 +17,22 @@ import rasterio.merge
 import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
+from rasterio.transform import Affine
+from rasterio.vrt import WarpedVRT
 
 from p2wss.config import Folder
 from p2wss.data.crs import bounds_in_crs, check_crs, reprojected
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
-from p2wss.data.terrain import Terrain, height_scale
+from p2wss.data.terrain import Terrain, check_north_up, height_scale, without_impossible
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import extent_of, read_header
 from p2wss.footprints.vector_files import decoded, layer_info, layers_of
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import horizontal, same_crs
 from p2wss.storage.log_lines import log
+
+# rasters whose cells differ by less, in cells, have the same
+_SAME_CELL = 1e-3
 
 
 class FolderSource:
@@ -151,6 +156,7 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
         for path in files:
             with reading(path, "a readable raster"):
                 raster = stack.enter_context(rasterio.open(path))
+            check_north_up(raster.transform, path)
             if rasterio.coords.disjoint_bounds(raster.bounds, bounds):
                 continue
             rasters.append(raster)
@@ -163,11 +169,12 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
         if len(paths) > 1:
             *_, other, first = paths.values()
             raise InputError(f"{other}: its heights have another unit, scale or offset than those of {first}")
-        terrain, ((scale, offset),) = _merged(rasters, bounds), paths
-        return replace(terrain, height_m=terrain.height_m * np.float32(scale) + np.float32(offset))
+        terrain, ((scale, offset),) = _merged(rasters, bounds, crs), paths
+        height_m = terrain.height_m * np.float32(scale) + np.float32(offset)
+        return without_impossible(replace(terrain, height_m=height_m), name)
 
 
-def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
+def _merged(rasters: list[DatasetReader], bounds: Bounds, crs: str) -> Terrain:
     grid = rasters[0].transform
     cell = grid.a
     # extended outwards to whole cells of the first raster's grid
@@ -175,17 +182,39 @@ def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
     right = grid.c + np.ceil((bounds[2] - grid.c) / cell) * cell
     bottom = grid.f - np.ceil((grid.f - bounds[1]) / cell) * cell
     top = grid.f - np.floor((grid.f - bounds[3]) / cell) * cell
-    with reading(f"{rasters[0].name} or a neighbouring file", "a readable raster, or truncated"):
+    with (
+        reading(f"{rasters[0].name} or a neighbouring file", "a readable raster, or truncated"),
+        ExitStack() as stack,
+    ):
         heights, transform = rasterio.merge.merge(
-            rasters,
+            [stack.enter_context(_on_grid(raster, grid, crs)) for raster in rasters],
             bounds=(left, bottom, right, top),
             res=(cell, cell),
             nodata=np.nan,
             dtype="float32",
             indexes=[1],
-            resampling=Resampling.bilinear,
         )
     return Terrain(heights[0], transform.c, transform.f, cell)
+
+
+def _on_grid(raster: DatasetReader, grid: Affine, crs: str) -> WarpedVRT:
+    """The raster on whole cells of the grid: interpolated, unless its own are such cells. Merging alone would stretch
+    its rows and columns to whole cells."""
+    own, (left, bottom, right, top) = raster.transform, raster.bounds
+    corner, last = (np.array((~grid) * xy) for xy in ((left, top), (right, bottom)))
+    is_copy = np.isclose(own.a, grid.a) and np.allclose(corner, np.rint(corner), atol=_SAME_CELL)
+    (west, north), (east, south) = np.floor(corner + _SAME_CELL), np.ceil(last - _SAME_CELL)
+    return WarpedVRT(
+        raster,
+        src_crs=crs,
+        crs=crs,
+        transform=grid * Affine.translation(west, north),
+        width=int(east - west),
+        height=int(south - north),
+        nodata=np.nan,
+        dtype="float32",
+        resampling=Resampling.nearest if is_copy else Resampling.bilinear,
+    )
 
 
 def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> None:

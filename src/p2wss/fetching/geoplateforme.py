@@ -193,9 +193,7 @@ class GeoplateformeSource:
             "REQUEST": "GetFeature",
             "TYPENAMES": type_name,
             "SRSNAME": self.crs,
-            "BBOX": ",".join(
-                [*(f"{value:g}" if value % 1 else f"{value:.0f}" for value in bounds), self.crs]
-            ),
+            "BBOX": ",".join([*(f"{value:.10g}" for value in bounds), self.crs]),
             "OUTPUTFORMAT": "application/json",
         }
         return params | ({"SORTBY": sort_by} if sort_by else {})

@@ -225,6 +225,43 @@ def test_another_cell_size_is_interpolated(tmp_path: Path) -> None:
     assert np.isfinite(error).mean() > 0.97
 
 
+def test_a_grid_between_the_cells_of_another_is_interpolated(tmp_path: Path) -> None:
+    """Beside a file whose cells are half a cell off, heights are those of the plane, not of half a cell beside."""
+    write_asc(tmp_path / "a.asc", 652000, 6861099, 100, 1)
+    write_asc(tmp_path / "b.asc", 652099.5, 6861099.5, 100, 1)
+    files = [tmp_path / "a.asc", tmp_path / "b.asc"]
+    terrain = mosaic(files, (652010.0, 6861010.0, 652180.0, 6861080.0), "EPSG:2154", "x")
+    rows, columns = terrain.height_m.shape
+    x, y = np.meshgrid(
+        terrain.x_min_m + np.arange(columns) + 0.5, terrain.y_max_m - np.arange(rows) - 0.5, indexing="xy"
+    )
+    is_inner = (x < 652098) | (x > 652101)
+    assert np.abs(terrain.height_m - plane(x, y))[is_inner].max() < 0.006
+
+
+def test_rasters_of_a_folder_are_refused_and_cleaned_as_terrain_is(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    values = np.full((10, 10), 50, np.float32)
+    values[:2] = -9999
+    for name, transform in (
+        ("a", from_origin(652000, 6861010, 1, 1)),
+        ("b", rasterio.Affine(1, 0, 652010, 0, 1, 6861000)),
+    ):
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", width=10, height=10, count=1, dtype="float32",
+            crs="EPSG:2154", transform=transform,
+        ) as raster:  # fmt: skip
+            raster.write(values, 1)
+    bounds = (652001.0, 6861001.0, 652009.0, 6861010.0)
+    with caplog.at_level("WARNING", "p2wss"):
+        terrain = mosaic([tmp_path / "a.tif"], bounds, "EPSG:2154", "x")
+    assert "such as -9999 m" in caplog.text
+    assert np.isnan(terrain.height_m[:2]).all() and (terrain.height_m[2:] == 50).all()
+    with pytest.raises(InputError, match=r"b.tif: must be a north-up raster"):
+        mosaic([tmp_path / "b.tif"], bounds, "EPSG:2154", "x")
+
+
 def test_heights_are_in_metres_as_rasters_state_their_units(tmp_path: Path) -> None:
     """A grid of whole centimetres, stated as unit or as scale, and an offset; not two units side by side."""
     (tmp_path / "alone").mkdir()

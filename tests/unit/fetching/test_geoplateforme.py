@@ -39,6 +39,17 @@ def test_pages_are_requested_until_complete(source: Any, httpserver: HTTPServer)
     assert len(normalise(footprints, "EPSG:2154", "wfs")) == 25
 
 
+def test_places_that_differ_by_a_metre_have_requests_of_their_own(
+    source: Any, httpserver: HTTPServer
+) -> None:
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features([building(0)]))
+    fetched = source()
+    for south in (6861000.125, 6861001.25):
+        fetched.footprints((652000.5, south, 653000.0, 6862000.0))
+    boxes = [request.args["BBOX"] for request, _ in httpserver.log]
+    assert boxes == [f"652000.5,{south},653000,6862000,EPSG:2154" for south in ("6861000.125", "6861001.25")]
+
+
 def test_pages_that_the_server_cuts_short(source: Any, httpserver: HTTPServer) -> None:
     handler = serve_features([building(i) for i in range(25)], cap=7)
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
