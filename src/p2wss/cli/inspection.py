@@ -196,7 +196,7 @@ def _vector(path: Path) -> Facts:
 def _raster(path: Path) -> Facts:
     import rasterio
 
-    from p2wss.data.terrain import check_size
+    from p2wss.data.terrain import check_size, height_scale
 
     with rasterio.open(path) as raster:
         check_size(raster, path)
@@ -214,7 +214,9 @@ def _raster(path: Path) -> Facts:
             "share of cells with data": round(len(values) / heights.size, 6),
         }
         if len(values):
-            facts["heights"] = {"lowest": float(values.min()), "highest": float(values.max())}
+            scale, offset = height_scale(raster)
+            ends = float(values.min()), float(values.max())
+            facts["heights, m"] = dict(zip(("lowest", "highest"), (scale * z + offset for z in ends), strict=True))
         return facts | _provenance(raster.tags().get("p2wss"))
 
 

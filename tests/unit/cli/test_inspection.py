@@ -15,6 +15,7 @@ import geopandas as gpd
 import laspy
 import numpy as np
 import pytest
+import rasterio
 import torch
 from drawn_towns.planes import mesh_of
 from places import MINI, SHARED
@@ -100,12 +101,16 @@ def test_rasters(tmp_path: Path) -> None:
     facts = describe(ASC)
     heights = np.loadtxt(ASC, skiprows=6)
     assert (facts["num_rows"], facts["num_columns"], facts["crs"]) == (200, 200, None)
-    assert facts["heights"]["highest"] == pytest.approx(heights.max())
+    assert facts["heights, m"]["highest"] == pytest.approx(heights.max())
     heights[0] = np.nan
     write_terrain(tmp_path / "a.tif", Terrain(heights, 652000, 6862000, 5.0), "EPSG:2154", FACTS)
     facts = describe(tmp_path / "a.tif")
     assert facts["share of cells with data"] == pytest.approx(199 / 200)
     assert facts["bounds"] == [652000, 6861000, 653000, 6862000] and facts["provenance"] == SHOWN
+    with rasterio.open(tmp_path / "a.tif", "r+") as raster:
+        raster.scales, raster.offsets, raster.units = [0.01], [5.0], ["ft"]
+    expected = (np.nanmax(heights) * 0.01 + 5) * 0.3048
+    assert describe(tmp_path / "a.tif")["heights, m"]["highest"] == pytest.approx(expected)
 
 
 def test_tables(tmp_path: Path) -> None:
