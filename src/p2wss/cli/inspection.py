@@ -215,8 +215,8 @@ def _raster(path: Path) -> Facts:
         }
         if len(values):
             scale, offset = height_scale(raster)
-            ends = float(values.min()), float(values.max())
-            facts["heights, m"] = dict(zip(("lowest", "highest"), (scale * z + offset for z in ends), strict=True))
+            low, high = (scale * float(end) + offset for end in (values.min(), values.max()))
+            facts["heights, m"] = {"lowest": low, "highest": high}
         return facts | _provenance(raster.tags().get("p2wss"))
 
 
