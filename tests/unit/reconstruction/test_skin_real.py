@@ -62,7 +62,8 @@ def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:
     buildings = [exports.mesh(result, config) for result in results]
     ground = exports.block(buildings, land, config)
     assert ground is not None
-    buildings = terrain_mesh.lowered_into(buildings, land, config.terrain_tolerance_m)
+    bounds, _ = exports._around(buildings, config)
+    buildings = terrain_mesh.lowered_into(buildings, land, bounds, config.terrain_tolerance_m)
     closed = block_skins.joined(buildings, np.inf)
     standing, with_holes = block_skins.on_terrain(closed, ground)
     assert all((skin.mesh.kind != FaceKind.GROUND).all() for skin in standing)

@@ -96,9 +96,13 @@ def test_terrain_without_any_height_is_refused() -> None:
         terrain_mesh.block(terrain(np.zeros((20, 20))), (X + 900, Y, X + 910, Y + 10), 0.1)
 
 
-def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
-    """Houses with level ground faces on a slope, each at the height of the ground at its upper end."""
+@pytest.mark.parametrize("has_gaps", [False, True])
+def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside(has_gaps: bool) -> None:
+    """Houses with level ground faces on a slope, each at the height of the ground at its upper end. has_gaps: whether
+    the terrain has no heights under them, as some national ones."""
     height = np.add.outer(np.zeros(60), 20 + 0.3 * np.arange(60)) + 0.2 * np.sin(np.arange(60))
+    for x, y in ((15, 20), (35, 30)) if has_gaps else ():
+        height[60 - y - 11 : 60 - y + 3, x - 3 : x + 13] = np.nan
     land = terrain(height)
     meshes = skeleton.build(
         Polygons.from_rings([[np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)]] * 2),
@@ -109,8 +113,9 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
     for i, (x, y) in enumerate(places):
         position = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
         houses.append(Body.of_building(f"h{i}", Mesh.of_kernel(meshes, i).translated(position)))
-    block = terrain_mesh.block(land, (X + 5, Y + 10, X + 55, Y + 48), 0.1, 20.0)
-    lowered = terrain_mesh.lowered_into(houses, land, 0.1)
+    bounds = (X + 5, Y + 10, X + 55, Y + 48)
+    block = terrain_mesh.block(land, bounds, 0.1, 20.0)
+    lowered = terrain_mesh.lowered_into(houses, land, bounds, 0.1)
     draw = np.random.default_rng(0)
 
     ground = RayMeshIntersector(checked(block))
@@ -154,9 +159,11 @@ def test_a_coarse_terrain_leaves_no_gap_under_a_building_either() -> None:
         for i in range(len(boxes))
     ]
     tolerance_m = 3.0
-    block = terrain_mesh.block(land, (X + 10, Y + 10, X + 95, Y + 95), tolerance_m, 50.0)
+    bounds = (X + 10, Y + 10, X + 95, Y + 95)
+    block = terrain_mesh.block(land, bounds, tolerance_m, 50.0)
     ground = RayMeshIntersector(checked(block))
-    for (x, y), house in zip(boxes, terrain_mesh.lowered_into(houses, land, tolerance_m), strict=True):
+    lowered = terrain_mesh.lowered_into(houses, land, bounds, tolerance_m)
+    for (x, y), house in zip(boxes, lowered, strict=True):
         above = np.column_stack(
             [np.random.default_rng(0).uniform([x, y], [x + 8, y + 8], (50, 2)), np.full(50, 90.0)]
         )

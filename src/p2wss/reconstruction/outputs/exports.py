@@ -16,7 +16,7 @@ from p2wss.config import ERRORS_SUFFIX, OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstr
 from p2wss.config.reconstruct import Output
 from p2wss.data.reasons import DUPLICATE, HAS_PARTS, HEIGHT_FROM_ATTRIBUTE, NO_POINTS
 from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import grown
+from p2wss.data.tiling import Bounds, grown
 from p2wss.formats import gpkg, sionna
 from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
@@ -149,8 +149,9 @@ def _meshes(
     if terrain is not None or config.skin or config.wedges:
         buildings = list(buildings)
     ground = None if terrain is None else block(buildings, terrain, config)
-    if terrain is not None:
-        buildings = terrain_mesh.lowered_into(buildings, terrain, config.terrain_tolerance_m)
+    if terrain is not None and buildings:
+        bounds, _ = _around(buildings, config)
+        buildings = terrain_mesh.lowered_into(buildings, terrain, bounds, config.terrain_tolerance_m)
     skins: Sequence[Skin] = []
     if config.skin or config.wedges:
         is_cut = ground is not None and config.skin_terrain == "cut"
@@ -212,11 +213,16 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
     """The terrain around the buildings, None without buildings. Raises :class:`InputError` if it has no height."""
     if not buildings:
         return None
+    bounds, lowest_m = _around(buildings, config)
+    result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, lowest_m)
+    return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
+
+
+def _around(buildings: Sequence[Body], config: Reconstruct) -> tuple[Bounds, float]:
+    """(the bounds of the terrain around buildings, their lowest height)."""
     corners = np.concatenate([building.mesh.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    bounds = grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m)
-    result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
-    return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
+    return grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m), low[2]
 
 
 def _is_cut(config: Reconstruct, has_terrain: bool) -> bool:

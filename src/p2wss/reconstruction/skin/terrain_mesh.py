@@ -36,7 +36,8 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
     and columns is used, with a warning; the attribute ``spacing_m`` tells. Raises :class:`InputError` if there is no
     height.
     """
-    height_m, x_m, y_m, spacing_m = _window(terrain, bounds)
+    window = _window(terrain, bounds)
+    height_m, spacing_m = window.height_m, window.cell_m
     if spacing_m > terrain.cell_m:
         log.warning(
             "warning: the terrain around the buildings has more than %d cells: its mesh has heights every %g m, not"
@@ -60,23 +61,23 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
         if len(extended) == len(vertices):
             break
         vertices = extended
-    top_m = np.column_stack([x_m[column], y_m[row], height_m[row, column]])
+    x_m, y_m = window.x_min_m + (column + 0.5) * spacing_m, window.y_max_m - (row + 0.5) * spacing_m
+    top_m = np.column_stack([x_m, y_m, height_m[row, column]])
     body = _closed(top_m, upper, min(float(height_m.min()), lowest_m) - max(_BELOW_M, 2 * tolerance_m))
     return replace(body, attributes={"spacing_m": round(spacing_m, 3)})
 
 
-def lowered_into(bodies: Sequence[Body], terrain: Terrain, tolerance_m: float) -> list[Body]:
+def lowered_into(bodies: Sequence[Body], terrain: Terrain, bounds: Bounds, tolerance_m: float) -> list[Body]:
     """The buildings with their ground faces lowered below the lowest terrain under each, walls extended.
 
     So there is no gap between a level ground face and sloping terrain through which a ray could enter the building.
-    tolerance_m: of :func:`block`, which may be so far below the terrain.
+    bounds, tolerance_m: of :func:`block`, which may be so far below the terrain, and has heights where that has none.
     """
-    result = []
+    result, window = [], _window(terrain, bounds)
     for body in bodies:
         mesh = body.mesh
         low, high = mesh.vertex_m.min(axis=0), mesh.vertex_m.max(axis=0)
-        height_m = terrain.cut((low[0], low[1], high[0], high[1])).height_m
-        lowest = np.nanmin(height_m) if np.isfinite(height_m).any() else np.inf
+        lowest = window.cut((low[0], low[1], high[0], high[1])).height_m.min()
         vertex_m = mesh.vertex_m.copy()
         ground = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
         vertex_m[ground, 2] = np.minimum(vertex_m[ground, 2], lowest - max(_FOOT_M, tolerance_m))
@@ -110,9 +111,8 @@ def _worst_cells(height_m: np.ndarray, corner: np.ndarray, tolerance_m: float) -
     return result
 
 
-def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Heights of a grid that covers ``bounds``, gaps filled, the x (columns,) and y (rows,) of its cells, and how far
-    they are apart."""
+def _window(terrain: Terrain, bounds: Bounds) -> Terrain:
+    """Heights of a grid that covers ``bounds``, gaps filled, which may be coarser."""
     cell = terrain.cell_m
     x_min, y_min, x_max, y_max = bounds
     left = int(np.floor((x_min - terrain.x_min_m) / cell - 0.5))
@@ -132,7 +132,9 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
     if not has_data.all():
         nearest = scipy.ndimage.distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
-    return height, terrain.x_min_m + (column + 0.5) * cell, terrain.y_max_m - (row + 0.5) * cell, step * cell
+    # of the corner of the larger cells around the same centres
+    west, north = left + (1 - step) / 2, first + (1 - step) / 2
+    return Terrain(height, terrain.x_min_m + west * cell, terrain.y_max_m - north * cell, step * cell)
 
 
 def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Body:
