@@ -59,6 +59,9 @@ def prepare(
         log.warning(f"{problem}; the cloud has ground points and is used unchanged")
     if not reason or command is None:
         num_points = write_cloud(out, paths[:1], window.bounds, window.crs, window.holes, link=True)
+        if num_points < classes.total():  # of what is left
+            classes = count_classes(out)
+            num_ground = sum(classes[each] for each in set(ground))
         return {"by": "laspy", "num_points": num_points, "num_ground_points": num_ground, "reason": reason}
     if not num_ground and GROUND_CLASS not in ground:
         raise InputError(

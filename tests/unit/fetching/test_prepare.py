@@ -56,7 +56,8 @@ def test_points_of_a_neighbouring_tile_are_not_written(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", points, 2)
     neighbour = write_points("0653_6862.laz", scatter(100, EAST), 2)
     out = tmp_path / "out.laz"
-    prepare(out, [cloud, neighbour], Window(AROUND, [EAST], L93, L93), config(mode="never"))
+    facts = prepare(out, [cloud, neighbour], Window(AROUND, [EAST], L93, L93), config(mode="never"))
+    assert facts["num_ground_points"] == facts["num_points"] < len(points)
     x = points[:, 0]
     assert rows(laspy.read(out).xyz) == rows(points[(x >= 651900) & (x < 653000)])
 
