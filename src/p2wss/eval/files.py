@@ -73,7 +73,7 @@ def evaluate(
     from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
     ``roof_cd_m``, the same between the points of class 6 inside the footprint and the faces of the roof;
     ``points_to_mesh_m``, the mean distance of the latter points to 40,000 samples of the mesh; ``num_triangles``;
-    ``is_watertight``. Raises :class:`InputError` for a file that is missing or broken.
+    ``is_watertight``, whether each of its solids is. Raises :class:`InputError` for a file that is missing or broken.
     """
     solids, scene_crs = _solids(buildings)
     name = str(buildings) if isinstance(buildings, str | Path) else "buildings"
@@ -169,9 +169,19 @@ def _matched(
             num_elsewhere,
         )
     return {
-        name: replace(members[0], mesh=Mesh.joined([each.mesh for each in members]))
+        name: replace(members[0], mesh=Mesh.joined([each.mesh for each in members]), part=_parts(members))
         for name, members in (unknown | known).items()
     }
+
+
+def _parts(members: Sequence[ReadSolid]) -> np.ndarray:
+    """The number of the solid of each triangle of some buildings together, 0 of those in none."""
+    count, parts = 0, []
+    for each in members:
+        part = np.ones(len(each.mesh.triangle), int) if each.part is None else each.part
+        parts.append(np.where(part > 0, part + count, 0))
+        count += int(part.max())
+    return np.concatenate(parts)
 
 
 def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:
@@ -199,7 +209,11 @@ def _measures(
         "status": "ok",
         "cd_m": chamfer_distance_m(near_m, _samples(mesh.corner_m, NUM_SAMPLES, draw)),
         "num_triangles": len(mesh.triangle),
-        "is_watertight": mesh_facts(mesh.vertex_m, mesh.triangle).watertight,
+        # solids that touch have edges in common
+        "is_watertight": all(
+            mesh_facts(mesh.vertex_m, mesh.triangle[solid.part == number]).watertight
+            for number in np.unique(solid.part).tolist()
+        ),
     }
     roof_m = _samples(mesh.corner_m[np.isin(mesh.kind, (FaceKind.ROOF, FaceKind.FLAT))], NUM_SAMPLES, draw)
     if len(on_building_m) >= MIN_ROOF_POINTS:

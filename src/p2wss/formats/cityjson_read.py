@@ -39,12 +39,14 @@ _DEPTHS = {"MultiSurface": 1, "CompositeSurface": 1, "Solid": 2, "MultiSolid": 3
 @dataclass(frozen=True)
 class ReadSolid:
     """A building from a file or, if not ``is_building``, a plant. mesh: its triangles in the CRS, labelled by the
-    polygons that they are part of; without any if the building has no geometry of the level of detail."""
+    polygons that they are part of; without any if the building has no geometry of the level of detail. part: number of
+    the solid of each triangle, 0 of those in none; None where all are of one."""
 
     building_id: str
     mesh: Mesh
     attributes: dict[str, Any]
     is_building: bool = True
+    part: np.ndarray | None = None
 
 
 def read(path: str | Path) -> list[ReadSolid]:
@@ -204,16 +206,18 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         for parent in names:  # those of parts, too
             children = [child for child in objects[parent].get("children", []) if child in objects]
             names += [each for each in children if each not in names and objects[each]["type"] not in _INSIDE]
-        triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
+        triangles, kinds, parts = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)], [0]
         for member in (objects[each] for each in names):
             given = [each for each in member.get("geometry", []) if each["type"] in _DEPTHS]
             by_lod = [[each for each in given if str(each.get("lod")) == lod] for lod in _LODS]
             best = next(filter(None, by_lod), [])
             # some files have the surfaces of a solid beside it
             closed = [each for each in best if "Solid" in each["type"]]
-            for rings, kind in chain(*map(_polygons_of, closed or best)):
-                triangles.append(triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]))
-                kinds.append(np.full(len(triangles[-1]), kind, np.uint8))
+            for number, geometry in enumerate(chain(*map(_single, closed or best)), start=max(parts) + 1):
+                for rings, kind in _polygons_of(geometry):
+                    parts.append(number if closed else 0)
+                    triangles.append(triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]))
+                    kinds.append(np.full(len(triangles[-1]), kind, np.uint8))
         triangle = np.concatenate(triangles)
         surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
         used, local = np.unique(triangle, return_inverse=True)
@@ -224,8 +228,25 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
             surface.astype(np.int32),
         )
         is_building = building["type"] == "Building"
-        solids.append(ReadSolid(name, mesh, building.get("attributes", {}), is_building))
+        solids.append(
+            ReadSolid(name, mesh, building.get("attributes", {}), is_building, np.array(parts)[1 + surface])
+        )
     return solids
+
+
+def _single(geometry: dict[str, Any]) -> list[dict[str, Any]]:
+    """The solids of a geometry of several; any other as it is."""
+    if geometry["type"] not in ("MultiSolid", "CompositeSolid"):
+        return [geometry]
+    semantics = geometry.get("semantics", {"surfaces": [], "values": None})
+    return [
+        {
+            "type": "Solid",
+            "boundaries": shells,
+            "semantics": semantics | {"values": semantics["values"] and semantics["values"][k]},
+        }
+        for k, shells in enumerate(geometry["boundaries"])
+    ]
 
 
 def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[Any, int]]:

@@ -99,6 +99,9 @@ def test_buildings_without_a_known_id_are_those_of_the_footprints_that_they_over
     parts = [replace(box(name, east), attributes={"id": "a"}) for name, east in (("a-1", -2.0), ("a-2", 3.0))]
     of_parts = evaluate(parts, *place[:1], [place[1]])
     assert pair["num_triangles"].iloc[0] == of_parts["num_triangles"].iloc[0] == 24
+    # each is closed where they touch, too
+    touching = evaluate([box("x", -5.0), box("y", 5.0)], *place[:1], [place[1]])
+    assert touching["num_triangles"].iloc[0] == 24 and touching["is_watertight"].iloc[0]
 
 
 def test_numbers_of_another_program_are_no_ids_of_footprints_elsewhere(

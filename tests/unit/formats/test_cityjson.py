@@ -315,8 +315,16 @@ def test_all_solids_of_an_object_are_read_and_the_surfaces_beside_them_are_not(t
     document["CityObjects"] |= {"both": both}
     path = tmp_path / "x.city.json"
     path.write_text(json.dumps(document), encoding="utf-8")
-    *apart, together = (len(each.mesh.triangle) for each in cityjson_read.read(path))
-    assert together == sum(apart)
+    *apart, together = cityjson_read.read(path)
+    assert len(together.mesh.triangle) == sum(len(each.mesh.triangle) for each in apart)
+    assert np.bincount(together.part).tolist() == [0, *(len(each.mesh.triangle) for each in apart)]
+    solids = {
+        "type": "MultiSolid",
+        "boundaries": [each["geometry"][0]["boundaries"] for each in (one, other)],
+    }
+    both["geometry"] = [{"lod": "2", **solids}]
+    path.write_text(json.dumps(document), encoding="utf-8")
+    assert cityjson_read.read(path)[-1].part.tolist() == together.part.tolist()
 
 
 def test_parts_of_parts_are_read_and_rooms_are_not(tmp_path: Path) -> None:
