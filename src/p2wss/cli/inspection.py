@@ -306,7 +306,9 @@ def _glb(path: Path) -> Facts:
 def _city(parts: list[Facts]) -> Facts:
     metadata = parts[0].get("metadata", {})
     city_objects = [item for part in parts for item in part.get("CityObjects", {}).values()]
-    geometry = [shape for item in city_objects for shape in item.get("geometry", [])]
+    templates = parts[0].get("geometry-templates", {}).get("templates", [])
+    given = [shape for item in city_objects for shape in item.get("geometry", [])]
+    geometry = [templates[shape["template"]] if "template" in shape else shape for shape in given]
     stored = parts[0].get("+p2wss") or metadata.get("p2wss")
     return {
         "version": parts[0].get("version"),

@@ -209,3 +209,13 @@ def test_the_crs_of_cityjson_of_any_version(stated: str, tmp_path: Path) -> None
     document = {"type": "CityJSON", "version": "1.0", "CityObjects": {}, "vertices": []}
     path.write_text(json.dumps(document | {"metadata": {"referenceSystem": stated}}))
     assert describe(path)["crs"] == "Amersfoort / RD New + NAP height (EPSG:7415)"
+
+
+def test_levels_of_detail_of_templates(tmp_path: Path) -> None:
+    house = {"type": "Building", "geometry": [{"type": "GeometryInstance", "template": 0, "boundaries": [0]}]}
+    template = {"type": "Solid", "lod": "2.2", "boundaries": []}
+    document = {"type": "CityJSON", "CityObjects": {"a": house, "b": house}, "vertices": [[0, 0, 0]]}
+    document["geometry-templates"] = {"templates": [template], "vertices-templates": []}
+    (tmp_path / "x.city.json").write_text(json.dumps(document), encoding="utf-8")
+    facts = describe(tmp_path / "x.city.json")
+    assert facts["geometries by level of detail"] == {"Solid LoD2.2": 2}
