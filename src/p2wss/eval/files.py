@@ -202,7 +202,7 @@ def _measures(
         return {"status": "too few points"}
     if solid is None:
         return {"status": "no mesh"}
-    draw, mesh = np.random.default_rng(seed), solid.mesh
+    draw, mesh, part = np.random.default_rng(seed), solid.mesh, _parts([solid])
     if len(near_m) > NUM_SAMPLES:
         near_m = near_m[np.sort(draw.choice(len(near_m), NUM_SAMPLES, replace=False))]
     row = {
@@ -211,8 +211,8 @@ def _measures(
         "num_triangles": len(mesh.triangle),
         # solids that touch have edges in common
         "is_watertight": all(
-            mesh_facts(mesh.vertex_m, mesh.triangle[solid.part == number]).watertight
-            for number in np.unique(solid.part).tolist()
+            mesh_facts(mesh.vertex_m, mesh.triangle[part == number]).watertight
+            for number in np.unique(part).tolist()
         ),
     }
     roof_m = _samples(mesh.corner_m[np.isin(mesh.kind, (FaceKind.ROOF, FaceKind.FLAT))], NUM_SAMPLES, draw)
