@@ -231,8 +231,8 @@ def repeated(
         is_shared[own] |= is_in[0] & is_in[1]
     row = np.flatnonzero(is_shared)
     # files may differ in their offsets, and thus in the last bits of equal coordinates
-    step = np.floor(np.array([v[row] for v in (x_m, y_m, z_m)]) * _STEPS_PER_M + _PHASE).astype(np.int64)
-    order = np.argsort((step.astype(np.uint64) * _MIX[:, None]).sum(axis=0), kind="stable")
+    step = _steps(x_m[row], y_m[row], z_m[row])
+    order = np.argsort(_mixed(step), kind="stable")
     step, row = step[:, order], row[order]
     is_new = np.ones(len(row), bool)
     is_new[1:] = (step[:, 1:] != step[:, :-1]).any(axis=0)
@@ -242,6 +242,19 @@ def repeated(
     pair, count = np.unique(owner[is_again] * 2**32 + file[row[is_again]], return_counts=True)
     pairs = zip((pair // 2**32).tolist(), (pair % 2**32).tolist(), strict=True)
     return result, Counter(dict(zip(pairs, count.tolist(), strict=True)))
+
+
+def marks(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    """A number for each place, uint64 (n,), the same for those that :func:`repeated` takes for equal."""
+    return _mixed(_steps(x_m, y_m, z_m))
+
+
+def _steps(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    return np.floor(np.array([x_m, y_m, z_m]) * _STEPS_PER_M + _PHASE).astype(np.int64)
+
+
+def _mixed(step: np.ndarray) -> np.ndarray:
+    return np.asarray((step.astype(np.uint64) * _MIX[:, None]).sum(axis=0))
 
 
 def tell_repeated(num_points: Counter[tuple[int, int]], paths: Sequence[Path | None]) -> None:

@@ -13,11 +13,13 @@ import numpy as np
 import pyproj
 import shapely
 
+from p2wss.clouds.reading import marks
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import Bounds, are_near, bounds_of_points, grown
 from p2wss.storage import files, integrity
 from p2wss.storage.las_crs import crs_of
 from p2wss.storage.las_files import bounds_of, open_cloud
+from p2wss.storage.log_lines import log
 
 _CHUNK_POINTS = 2_000_000
 _LAST_OLD_FORMAT = 5  # of LAS 1.3
@@ -52,7 +54,8 @@ def write_cloud(
     holes: Sequence[Bounds] = (),
     link: bool = False,
 ) -> int:
-    """Write the points of ``paths`` that are in ``bounds`` and in none of ``holes`` as one LAZ file.
+    """Write the points of ``paths`` that are in ``bounds`` and in none of ``holes`` as one LAZ file, those of several
+    files once.
 
     Of ``bounds`` and of each hole, the west and south edges belong to it and the others do not. The output
     has the point format and scale of the first file, or of the first in a format of LAS 1.4, and the latest day on
@@ -82,18 +85,30 @@ def write_cloud(
     days = [each.creation_date for each in headers if each.creation_date is not None]
     header.creation_date = max(days, default=header.creation_date)
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
-    num_points = 0
+    num_points, extents = 0, [extent_of(path) for path in paths]
+    # of points where files meet, of those before
+    known = np.zeros(0, np.uint64)
     with (
         files.atomic(out, seal=True) as temporary,
         laspy.open(temporary, "w", header=header, do_compress=True) as writer,
     ):
-        for path in paths:
+        for number, path in enumerate(paths):
+            others, own, num_again = [*extents[:number], *extents[number + 1 :]], [known], 0
             with open_cloud(path) as reader:
                 for points in reader.chunk_iterator(_CHUNK_POINTS):
                     x, y = np.asarray(points.x), np.asarray(points.y)
                     keep = _in(x, y, bounds)
                     for hole in holes:
                         keep &= ~_in(x, y, hole)
+                    is_shared = np.zeros(len(x), bool)
+                    for each in others:
+                        is_shared |= True if each is None else _in(x, y, grown(each, _EDGE_M))
+                    row = np.flatnonzero(keep & is_shared)
+                    mark = marks(x[row], y[row], np.asarray(points.z)[row])
+                    is_again = np.isin(mark, known)
+                    own.append(mark[~is_again])
+                    keep[row[is_again]] = False
+                    num_again += int(is_again.sum())
                     inside = points[keep]
                     piece = laspy.ScaleAwarePointRecord.zeros(len(inside), header=header)
                     piece.copy_fields_from(inside)
@@ -105,6 +120,9 @@ def write_cloud(
                     )
                     writer.write_points(piece)
                     num_points += len(piece)
+            known = np.concatenate(own)
+            if num_again:
+                log.info("note: %d points of %s are in the files before it, too: used once", num_again, path)
     return num_points
 
 

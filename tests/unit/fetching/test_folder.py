@@ -355,6 +355,20 @@ def test_a_single_laz_whose_header_states_wrong_bounds_is_cropped(tmp_path: Path
     assert write_cloud(tmp_path / "out.laz", paths, TILE, "EPSG:2154") == 1000
 
 
+def test_points_of_several_files_are_written_once(write_points: Any, tmp_path: Path) -> None:
+    """Tiles that overlap, the second in other steps; equal points within one file stay."""
+    points = np.round(np.random.default_rng(0).uniform((1, 1, 40), (99, 99, 60), (3000, 3)), 2)
+    points += [652000, 6861000, 0]
+    points[1] = points[0] = (652010, 6861010, 50)
+    is_first, is_second = points[:, 0] < 652060, points[:, 0] > 652040
+    first, second = (write_points(f"{k}.laz", points[of]) for k, of in enumerate((is_first, is_second)))
+    other = laspy.convert(laspy.read(second), point_format_id=6)
+    other.change_scaling(scales=[0.01] * 3, offsets=[652000.5, 6861000.25, 0])
+    other.write(second)
+    bounds = (652000.0, 6861000.0, 652100.0, 6861100.0)
+    assert write_cloud(tmp_path / "out.laz", [first, second], bounds, "EPSG:2154") == len(points)
+
+
 def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     x = 652000 + np.round(rng.uniform(-100, 200, 5000), 3)
