@@ -18,7 +18,7 @@ from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds, are_near, bounds_of_points
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of, stated_crs
-from p2wss.storage.las_files import KIND, bounds_of, open_cloud
+from p2wss.storage.las_files import KIND, STEPS_PER_M, bounds_of, marks, open_cloud, steps
 from p2wss.storage.log_lines import log
 
 # days of points count from here
@@ -33,11 +33,6 @@ _WEEK_S, _DAY_S = 604_800, 86_400
 _GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
 # raw GPS and Unix time, read as that, are 31 and 21 years late; dates of files are less wrong, but for those before LAS
 _AHEAD_DAYS, _FIRST_LAS = 3652, (date(2003, 5, 9) - GPS_EPOCH).days
-# coordinates in whole steps of this many per metre are equal: finer than those of files, which are multiples of at
-# least 0.1 mm, and not cut where such multiples are
-_STEPS_PER_M, _PHASE = 8000.0, 0.382
-# large odd numbers, by which three coordinates become one number
-_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
 @dataclass(frozen=True)
@@ -220,8 +215,8 @@ def repeated(
     result = np.zeros(len(file), bool)
     first = np.flatnonzero(np.diff(file, prepend=-1))
     xy = (x_m, y_m)
-    low = np.array([np.minimum.reduceat(v, first) for v in xy]) - 1 / _STEPS_PER_M
-    high = np.array([np.maximum.reduceat(v, first) for v in xy]) + 1 / _STEPS_PER_M
+    low = np.array([np.minimum.reduceat(v, first) for v in xy]) - 1 / STEPS_PER_M
+    high = np.array([np.maximum.reduceat(v, first) for v in xy]) + 1 / STEPS_PER_M
     meet = (low[:, :, None] <= high[:, None]).all(axis=0)
     meet &= meet.T & ~np.eye(len(first), dtype=bool)
     is_shared = np.zeros(len(file), bool)
@@ -231,8 +226,8 @@ def repeated(
         is_shared[own] |= is_in[0] & is_in[1]
     row = np.flatnonzero(is_shared)
     # files may differ in their offsets, and thus in the last bits of equal coordinates
-    step = _steps(x_m[row], y_m[row], z_m[row])
-    order = np.argsort(_mixed(step), kind="stable")
+    step = steps(x_m[row], y_m[row], z_m[row])
+    order = np.argsort(marks(step), kind="stable")
     step, row = step[:, order], row[order]
     is_new = np.ones(len(row), bool)
     is_new[1:] = (step[:, 1:] != step[:, :-1]).any(axis=0)
@@ -242,19 +237,6 @@ def repeated(
     pair, count = np.unique(owner[is_again] * 2**32 + file[row[is_again]], return_counts=True)
     pairs = zip((pair // 2**32).tolist(), (pair % 2**32).tolist(), strict=True)
     return result, Counter(dict(zip(pairs, count.tolist(), strict=True)))
-
-
-def marks(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
-    """A number for each place, uint64 (n,), the same for those that :func:`repeated` takes for equal."""
-    return _mixed(_steps(x_m, y_m, z_m))
-
-
-def _steps(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
-    return np.floor(np.array([x_m, y_m, z_m]) * _STEPS_PER_M + _PHASE).astype(np.int64)
-
-
-def _mixed(step: np.ndarray) -> np.ndarray:
-    return np.asarray((step.astype(np.uint64) * _MIX[:, None]).sum(axis=0))
 
 
 def tell_repeated(num_points: Counter[tuple[int, int]], paths: Sequence[Path | None]) -> None:

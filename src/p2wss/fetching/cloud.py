@@ -13,12 +13,11 @@ import numpy as np
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import marks
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import Bounds, are_near, bounds_of_points, grown
 from p2wss.storage import files, integrity
 from p2wss.storage.las_crs import crs_of
-from p2wss.storage.las_files import bounds_of, open_cloud
+from p2wss.storage.las_files import bounds_of, marks, open_cloud, steps
 from p2wss.storage.log_lines import log
 
 _CHUNK_POINTS = 2_000_000
@@ -104,7 +103,7 @@ def write_cloud(
                     for each in others:
                         is_shared |= True if each is None else _in(x, y, grown(each, _EDGE_M))
                     row = np.flatnonzero(keep & is_shared)
-                    mark = marks(x[row], y[row], np.asarray(points.z)[row])
+                    mark = marks(steps(x[row], y[row], np.asarray(points.z)[row]))
                     is_again = np.isin(mark, known)
                     own.append(mark[~is_again])
                     keep[row[is_again]] = False

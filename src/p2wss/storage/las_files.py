@@ -31,6 +31,11 @@ _LASZIP = (b"laszip encoded", 22204)
 _UNCHUNKED, _CHUNKED = 1, 2
 # of points that are decoded together
 _MAX_CHUNK_POINTS = 50_000_000
+# coordinates in whole steps of this many per metre are equal: finer than those of files, which are multiples of at
+# least 0.1 mm, and not cut where such multiples are
+STEPS_PER_M, _PHASE = 8000.0, 0.382
+# large odd numbers, by which three coordinates become one number
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
 @contextmanager
@@ -167,3 +172,13 @@ def _in_one_chunk(path: str | Path, points_at: int, record_at: int, num_points: 
         lazrs.write_chunk_table(copy, [(num_points, end - points_at)], vlr)
         copy.seek(0)
         yield copy
+
+
+def steps(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    """Coordinates in whole steps, int64 (3, n): places with the same count as equal."""
+    return np.floor(np.array([x_m, y_m, z_m]) * STEPS_PER_M + _PHASE).astype(np.int64)
+
+
+def marks(step: np.ndarray) -> np.ndarray:
+    """A number for each place in :func:`steps`, uint64 (n,)."""
+    return np.asarray((step.astype(np.uint64) * _MIX[:, None]).sum(axis=0))
