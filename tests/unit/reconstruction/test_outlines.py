@@ -336,3 +336,8 @@ def test_free_edges_stand_inside_the_edge_of_the_roof() -> None:
     first, second = outlines(scene((low, 6.0), (high, 10.0)), Outlines(overhang_m=0.4))
     assert first.intersection(second).length == pytest.approx(9.2, abs=0.5)
     assert first.union(second).area == pytest.approx((20 - 0.8) * (10 - 0.8), rel=0.03)
+
+
+def test_outlines_have_no_heights_and_no_vertical_crs() -> None:
+    features = outline_features(np.array([shapely.box(0, 0, 10, 5)], object), pyproj.CRS("EPSG:2154+5720"))
+    assert features.crs == pyproj.CRS("EPSG:2154") and features["area_m2"].tolist() == [50.0]

@@ -30,6 +30,7 @@ from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, r
 from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.las_crs import horizontal
 from p2wss.storage.log_lines import log
 
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
@@ -205,7 +206,7 @@ def with_plants(cloud: Cloud, crowns: np.ndarray) -> Cloud:
 def outline_features(shapes: np.ndarray, crs: pyproj.CRS) -> Features:
     """Outlines as footprints with the column ``building_id``, numbers from 1 as text."""
     ids = np.array([str(number + 1) for number in range(len(shapes))], object)
-    return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, crs)
+    return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, horizontal(crs))
 
 
 def _rasterised(cloud: Cloud, settings: Outlines, density: float, cell_m: float) -> CloudRaster:
