@@ -122,10 +122,11 @@ class GeoplateformeSource:
     def _tiles(self, urls: list[str]) -> list[Path]:
         """The files of tiles, downloaded unless they are stored."""
         paths: list[Path] = []
-        for url in urls:
-            path = self.downloads / "lidar" / Path(urlsplit(url).path).name
-            if path in paths:  # a tile of two deliveries
-                path = self._path("lidar", {"url": url}, f"_{path.name}")
+        names = [Path(urlsplit(url).path).name for url in urls]
+        for url, name in zip(urls, names, strict=True):
+            path = self.downloads / "lidar" / name
+            if names.count(name) > 1:  # a tile of two deliveries, one of which may have been alone before
+                path = self._path("lidar", {"url": url}, f"_{name}")
             paths.append(path)
             if integrity.is_usable(path):
                 continue
