@@ -125,6 +125,27 @@ def test_a_scene_can_be_copied_and_pickled(tmp_path: Path) -> None:
             each.points("a")
 
 
+def test_a_copy_and_a_file_are_written_with_materials_and_plants_or_say_what_is_not(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    walls = footprints()[:1].assign(MAT_MURS="49")
+    config = {
+        "reconstruct": {"outputs": ["cityjson", "obj"], "materials": {"roof": "tile"}, "per_building": True}
+    }
+    scene = p2wss.reconstruct(gable_points(), walls, model="none", progress=False, config=config)
+    written = scene.write(tmp_path / "run", name="town")
+    assert sorted(written) == sorted(path for path in (tmp_path / "run").rglob("*") if path.is_file())
+    scene.plants = [scene["a"].solid]
+    path = pickle.loads(pickle.dumps(scene)).write(tmp_path, name="copy")[-1]
+    assert "written without cityjson" in caplog.text
+    lines = path.read_text().splitlines()
+    assert {"usemtl brick", "usemtl tile", "o plant_1"} <= set(lines)
+    again = p2wss.read(tmp_path / "run" / "town.city.json")
+    with pytest.raises(p2wss.InputError, match="needs a reconstruction"):
+        again.write(tmp_path)
+    assert "usemtl brick" in again.write(tmp_path, ["obj"])[-1].read_text()
+
+
 def test_a_scene_is_shown_as_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = p2wss.reconstruct(gable_points(), footprints()[:2], model="none", progress=False)
     opened: list[str] = []

@@ -145,8 +145,8 @@ def write_run(
     Returns the exit status: 1 if a file is missing, or too many buildings, because of internal errors."""
     earlier = _delivered(out, f"{name or scene.name}.json")
     written = scene.write(out, formats, name)
-    log.info("%s: %s", out, ", ".join(str(path.relative_to(out)) for path in written))
     content = files.read_json(written[-1], dict[str, Any])
+    log.info("%s: %s", out, ", ".join([*content["files"], written[-1].name]))
     counts, wedges = content["buildings"], content["wedges"]
     more = "" if wedges is None else f", {wedges} wedges"
     size = f"{counts['triangles']} triangles{more}"

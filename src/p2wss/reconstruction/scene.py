@@ -302,8 +302,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         ----------
         folder : path
         formats : sequence of str, optional
-            From ``reconstruct.outputs`` of the config, which is the default. Of a scene that was read from a file, only
-            mesh formats.
+            From ``reconstruct.outputs`` of the config, which is the default. Of a scene that was read from a file, and
+            of a copy, only mesh formats, without terrain.
         name : str, optional
             Of the files, without ending.
 
@@ -314,7 +314,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Raises
         ------
         InputError
-            If a file cannot be written, or the folder is not there and is named as a file.
+            If a file cannot be written, none would be, or the folder is not there and is named as a file.
         """
         settings = self.config.reconstruct
         if formats is not None:
@@ -330,12 +330,16 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             terrain = run.inputs.terrain and run.inputs.terrain[0]
             results, crs = run.results, run.inputs.crs
             with run.failures.met():
-                written = exports.write(folder, name, results, crs, run.facts, settings, terrain, run.plants)
-            return [folder / each for each in written]
+                return exports.write(folder, name, results, crs, run.facts, settings, terrain, run.plants)
         others = [each for each in settings.outputs if each not in MESH_WRITERS]
-        if others and formats is not None:
+        chosen = [each for each in dict.fromkeys(settings.outputs) if each in MESH_WRITERS]
+        if others and (formats is not None or not chosen):
             raise InputError(
                 f"{self.name}: {others[0]} needs a reconstruction; choose from {', '.join(MESH_WRITERS)}"
+            )
+        if others:
+            log.warning(
+                "warning: %s: without its run, it is written without %s", self.name, ", ".join(others)
             )
         scene = self._in_metres()
         bodies = scene._bodies(settings.skin)
@@ -346,7 +350,6 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             for number, each in enumerate(scene.plants, 1)
             if len(each.triangle)
         ]
-        chosen = [each for each in dict.fromkeys(settings.outputs) if each in MESH_WRITERS]
         return [
             path
             for each in chosen
@@ -617,7 +620,6 @@ def read(path: str | Path) -> Scene:
     path = Path(path)
     objects, crs = cityjson_read.read_city(path)
     solids = [each for each in objects if each.is_building]
-    # the file says of the object, and not of its triangles, that it is a plant
     plants = [
         replace(each.mesh, kind=np.full_like(each.mesh.kind, VEGETATION))
         for each in objects

@@ -45,8 +45,8 @@ def write(
     config: Reconstruct,
     terrain: Terrain | None = None,
     plants: Sequence[Plant] = (),
-) -> list[str]:
-    """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the names.
+) -> list[Path]:
+    """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the paths.
 
     ``STEM.json`` lists the SHA-256 of each of the others, which ``p2wss inspect --verify STEM.json`` compares.
     results: may be read from a file at each access. Skins and terrains hold all meshes in memory, tables and mesh files
@@ -134,7 +134,7 @@ def write(
             else {"mesh": ground.name, "triangles": len(ground.mesh.triangle), **ground.attributes},
         },
     )
-    return [*written, f"{stem}.json"]
+    return [*delivered, folder / f"{stem}.json"]
 
 
 def _meshes(
