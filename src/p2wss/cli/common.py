@@ -143,7 +143,8 @@ def write_run(
     to check, and what to do next.
 
     Returns the exit status: 1 if a file is missing, or too many buildings, because of internal errors."""
-    earlier = _delivered(out, f"{name or scene.name}.json")
+    listed = sums_of(out / f"{name or scene.name}.json")
+    earlier = {path for path in (*listed["sha256"], *listed.get("earlier", ())) if (out / path).is_file()}
     written = scene.write(out, formats, name)
     content = files.read_json(written[-1], dict[str, Any])
     log.info("%s: %s", out, ", ".join([*content["files"], written[-1].name]))
@@ -186,20 +187,20 @@ def city_files(folder: Path) -> list[Path]:
     return [each for each in sorted(folder.glob("*.city.json*")) if each.suffix in CITY]
 
 
-class _Files(TypedDict):
+class Sums(TypedDict):
     """Of a summary: SHA-256 of the files of the run, and the names of those that earlier runs left."""
 
     sha256: dict[str, str]
     earlier: NotRequired[list[str]]
 
 
-def _delivered(out: Path, summary: str) -> set[str]:
-    """The files in ``out`` that the summary of a run lists; none without it, or if it is another file of this name."""
+def sums_of(summary: Path) -> Sums:
+    """What the summary of a run says; nothing without it, or if it is another file of this name."""
     try:
-        listed: _Files = files.read_json(out / summary, _Files)
+        listed: Sums = files.read_json(summary, Sums)
     except InputError:
-        return set()
-    return {path for path in (*listed["sha256"], *listed.get("earlier", ())) if (out / path).is_file()}
+        return {"sha256": {}}
+    return listed
 
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:

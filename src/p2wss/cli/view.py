@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import CITY, city_files, config_option, crs_option, log
+from p2wss.cli.common import CITY, city_files, config_option, crs_option, log, sums_of
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
@@ -41,13 +41,19 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
         raise InputError(f"{paths[0]}: no CityJSON file, nor a folder with one (.city.json, .city.jsonl)")
     page, *others = {each.with_name(each.stem.removesuffix(".city") + ".html") for each in cities}
     is_one_run = len(paths) == 1 and paths[0].is_dir() and not others
-    # the page of a run has the points, too, and how footprints were moved
-    if not (is_one_run and out is None and page.exists()):
+    # the page of a run has the points, too, and how footprints were moved; one of an earlier run has other buildings
+    if not (is_one_run and out is None and _are_of_one_run(page, cities[0])):
         page = out or cities[0].with_name("view.html")
         files.write_text(page, _page(cities, clouds, crs, config.reconstruct.height_unit))
     log.info("open %s in a browser", page)
     if opens:
         webbrowser.open(page.resolve().as_uri())
+
+
+def _are_of_one_run(*paths: Path) -> bool:
+    """Whether all are as the summary beside them has them, which has the name of the first."""
+    sums = sums_of(paths[0].with_suffix(".json"))["sha256"]
+    return all(path.exists() and sums.get(path.name) == files.sha256(path) for path in paths)
 
 
 def _page(cities: list[Path], clouds: list[Path], crs: str | None, height_unit: str) -> str:

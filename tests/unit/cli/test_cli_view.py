@@ -42,6 +42,20 @@ def test_the_page_of_a_run_is_shown_as_it_is(demo: Path, caplog: pytest.LogCaptu
     assert "lidar.html" in caplog.text and not (demo / "out/view.html").exists()
 
 
+def test_a_page_of_an_earlier_run_is_not_shown_for_the_buildings_of_this_one(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(demo / "out", folder)
+    document = json.loads((folder / "lidar.city.json").read_text())
+    first = min(document["CityObjects"])
+    document["CityObjects"] = {first: document["CityObjects"][first]}
+    (folder / "lidar.city.json").write_text(json.dumps(document))
+    with caplog.at_level("INFO"):
+        assert cli.main(["view", str(folder)]) == 0
+    assert "view.html" in caplog.text and [each["id"] for each in buildings(folder / "view.html")] == [first]
+
+
 def test_files_of_any_program_are_compared_on_a_page(demo: Path, tmp_path: Path) -> None:
     ours = demo / "out/lidar.city.json"
     document = json.loads(ours.read_text())
