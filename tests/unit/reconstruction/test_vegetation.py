@@ -55,6 +55,19 @@ def found(crown_class: int, window: tuple[float, float, float, float], folder: P
         return plants(index, window, np.array([HOUSE], dtype=object))
 
 
+def test_crowns_with_several_highest_points_are_the_same_whatever_the_order_of_points(tmp_path: Path) -> None:
+    x, y, z, classes = points(5).T
+    results = []
+    for order in (slice(None), slice(None, None, -1)):
+        columns = [values[order] for values in (x, y, np.round(z), classes.astype(np.uint8))]
+        with CloudIndex(np.array([[-20.0, -20, 320, 80]]), tmp_path) as index:
+            index.append(Cloud(*columns, None))
+            results.append(plants(index, WINDOW, np.array([HOUSE], dtype=object)))
+    assert [each.name for each in results[0]] == [each.name for each in results[1]]
+    for one, other in zip(*results, strict=True):
+        assert one.mesh.vertex_m.tobytes() == other.mesh.vertex_m.tobytes()
+
+
 @pytest.mark.parametrize("crown_class", [5, 1])
 def test_each_crown_is_one_closed_volume_of_its_size(crown_class: int, tmp_path: Path) -> None:
     result = found(crown_class, WINDOW, tmp_path)

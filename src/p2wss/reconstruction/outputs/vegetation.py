@@ -126,6 +126,8 @@ def _plants(
         place = shapely.points(x_m[chosen], y_m[chosen])
         near = outlines.query(place, predicate="dwithin", distance=RULES.beside_m)[0]
         chosen = np.delete(chosen, near)
+    # the first of equally high points is the top, whatever their order in files
+    chosen = chosen[np.lexsort([values[chosen] for values in (cloud.z_m, x_m, y_m)])]
     label = _basins(row[chosen], column[chosen], height_m[chosen], shape)
     chosen = chosen[label[row[chosen], column[chosen]] > 0]
     of_point = label[row[chosen], column[chosen]]
