@@ -184,11 +184,8 @@ def _building(building: Shown) -> dict[str, Any]:
         "about": building.about,
         "state": _state(building),
         "residual": _number(building.attributes, "residual_m"),
-        # JSON has no NaN
-        "attributes": {
-            name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in building.attributes.items()
-        },
+        "height": _height_m(building),
+        "attributes": {name: _exact(value) for name, value in building.attributes.items()},
         # the columns of the input come before our status
         "inputs": list(takewhile(lambda name: name != "status", building.attributes))
         if "status" in building.attributes
@@ -223,6 +220,22 @@ def _state(building: Shown) -> str:
 def _number(attributes: Mapping[str, Any], name: str) -> float | None:
     value = attributes.get(name)
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+def _height_m(building: Shown) -> float | None:
+    """By its attributes or, if a program states others, of its meshes; None without one."""
+    top_m, ground_m = (_number(building.attributes, name) for name in ("roof_z_max_m", "ground_z_m"))
+    if top_m is not None and ground_m is not None:
+        return top_m - ground_m
+    z_m = [z for key, mesh in building.meshes.items() if key != OUTLINES.key for z in mesh.vertex_m[:, 2]]
+    return float(np.ptp(z_m)) if z_m else None
+
+
+def _exact(value: Any) -> Any:
+    """The value as scripts read it: JSON has no NaN, and numbers of a script have 53 bits."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, int) and abs(value) > 2**53 else value
 
 
 def _base64(values: np.ndarray) -> str:

@@ -246,10 +246,19 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
     mesh = mesh_of(house.vertices, np.asarray(house.faces))
     states = [
-        (HOSTILE, {"status": "ok", "residual_m": 0.07, "note": float("nan")}),
+        (HOSTILE, {"status": "ok", "residual_m": 0.07, "note": float("nan"), "bag": 2**53 + 1}),
         ("far", {"status": "ok", "residual_m": 0.6, "not_representable": True}),
-        ("level", {"status": "flat", "residual_m": 0.1, "reason": "too-few-points"}),
-        ("gone", {"status": "none", "residual_m": None, "reason": "no-points"}),
+        (
+            "level",
+            {
+                "status": "flat",
+                "residual_m": 0.1,
+                "reason": "too-few-points",
+                "roof_z_max_m": 8.5,
+                "ground_z_m": 0,
+            },
+        ),
+        ("gone", {"status": "none", "residual_m": None, "reason": "no-points", "ground_z_m": 3.0, "bag": 7}),
     ]
     buildings = []
     for number, (name, facts) in enumerate(states):
@@ -279,6 +288,15 @@ def test_the_page_of_a_scene_has_every_building_the_worst_first(scene: Path) -> 
         and "data.surfaces[kind]" in text
     )
     assert data["buildings"][2]["attributes"]["note"] is None and data["buildings"][3]["meshes"] == {}
+    # scripts have numbers of 53 bits
+    assert [each["attributes"].get("bag") for each in data["buildings"]] == [
+        None,
+        None,
+        "9007199254740993",
+        7,
+    ]
+    # stated, or of the mesh; one without has none to be coloured by
+    assert [each["height"] for each in data["buildings"]] == [pytest.approx(9), 8.5, pytest.approx(9), None]
 
 
 def test_crowns_can_be_hidden_and_a_click_goes_through_them(browser: Any, scene: Path) -> None:

@@ -183,7 +183,7 @@
     const known = data.buildings.map(value).filter(Number.isFinite).sort((a, b) => a - b);
     if (!known.length) return null;
     // most of them
-    const high = reach ?? known[Math.floor(0.95 * (known.length - 1))] ?? 1;
+    const high = (reach ?? known[Math.floor(0.95 * (known.length - 1))]) || 1;
     const of = (building) => (Number.isFinite(value(building)) ? ramp(value(building) / high) : new THREE.Color(UNKNOWN));
     return { title, of, legend: [[gradient, `0 to ${high.toFixed(1)} m and more`]] };
   }
@@ -199,8 +199,6 @@
     return { title, of, legend };
   }
 
-  const heightOf = ({ attributes, bounds }) =>
-    attributes.roof_z_max_m - attributes.ground_z_m || bounds[1][2] - bounds[0][2];
   const materialsOf = ({ materials }, kind) =>
     kind === undefined ? Object.values(materials) : [materials[data.surfaces[kind]]];
   const stateColors = Object.fromEntries(Object.values(STATES).map(([color, text]) => [text, color]));
@@ -208,7 +206,7 @@
     kind: byKind,
     state: byName("what to check", ({ state }) => [STATES[state][1]], stateColors),
     residual: byNumber("distance to the points", ({ residual }) => residual ?? NaN, MESH_REACH),
-    height: byNumber("height", heightOf),
+    height: byNumber("height", ({ height }) => height ?? NaN),
     roof: byName("type of roof", ({ attributes }) => [attributes.roof_type]),
     reason: byName("reason", ({ attributes }) => [attributes.reason ?? attributes.footprint_flags]),
     material: byName("material", materialsOf, data.materials),

@@ -60,7 +60,7 @@ def page_of_run(
     buildings = [_shown(result, origin_m, every, heights) for result in chosen]
     sentences = [summary(results), *_left_out(len(results)), _origin(facts)]
     registrations = [result.registration for result in results if result.registration is not None]
-    off = "registration: off, or the cloud has no points of class building"
+    off = "registration: off, or footprints are outlines of the points"
     sentences.insert(1, registration_summary(registrations) if registrations else off)
     layers = [Layer(_OURS, "Meshes", "#c8603a", is_ours=True)]
     if any(OUTLINES.key in each.meshes for each in buildings):
