@@ -457,7 +457,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
         if self._run is None:
             raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
-        return explain.explain(self._run.inputs, self.config, building_id)
+        result = explain.explain(self._run.inputs, self.config, building_id)
+        # its ground may be that of others, which are not reconstructed once more
+        return result if result.planes else replace(result, building=self[building_id])
 
     def _bodies(self, skin: bool) -> list[Body]:
         settings = self.config.reconstruct
@@ -581,7 +583,11 @@ def reconstruct(
         results = store[: len(rows)]
         if registers[area.is_chosen].any():
             log.info("%s", registration.summary(result.registration for result in results))
-        if tile is None and inputs.footprints is not None and not any(r.num_points for r in results):
+        if (
+            (selection.ids or tile) is None
+            and inputs.footprints is not None
+            and not any(r.num_points for r in results)
+        ):
             raise InputError(_no_overlap(len(results), inputs, points.num_points))
         num_unseen = sum(r.ground is not None and r.ground[0] in ground.UNSEEN for r in results)
         if num_unseen:

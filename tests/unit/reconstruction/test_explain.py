@@ -66,6 +66,20 @@ def test_open_ground_is_no_plane_of_the_building() -> None:
     assert text.count("open ground: outside the building") == 1
 
 
+def test_a_building_without_points_is_explained_as_the_run_has_it() -> None:
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(-3.8, 24, 0.4), np.arange(-3.8, 12, 0.4)))
+    inside = (x > 0) & (x < 10) & (y > 0) & (y < 8)
+    points = np.column_stack([x, y, np.where(inside, 5, 0), np.where(inside, 6, 2)])
+    shapes = [shapely.box(each, 0, each + 10, 8) for each in (0, 200, 400)]
+    table = {"id": ["a", "b", "c"], "height": [5.0, 6.0, np.nan]}
+    footprints = gpd.GeoDataFrame(table, geometry=shapes, crs=2154)
+    config = {"reconstruct": {"height_field": "height"}}
+    with p2wss.reconstruct(points, footprints, model="none", progress=False, config=config) as scene:
+        texts = [str(scene.explain(each)) for each in ("b", "c")]
+    assert texts[0].startswith("b: flat (height-from-attribute), method lod1\nno planes")
+    assert texts[1].startswith("c: none (no-points), method None\nno planes")
+
+
 def test_a_limit_of_triangles_decides_nothing_for_one_building(files: tuple[Path, Path]) -> None:
     """It would be fitted once more, at low detail, and that be explained, as if the first solid were not valid."""
     texts = []
