@@ -359,7 +359,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     def to_html(self) -> str:
         """The page of the scene: buildings in 3D and in a table, which needs no other file and no internet."""
         if self._run is None:
-            return page.page_of_scenes(self.name, {self.name: self}, None)
+            # the page has names of its own, such as points and ground
+            return page.page_of_scenes(self.name, {f"Meshes of {self.name}": self}, None)
         inputs = self._run.inputs
         terrain = inputs.terrain and inputs.terrain[0]
         return page.page_of_run(self._run.kept, self.name, inputs.crs, self._run.facts, self.plants, terrain)
