@@ -136,7 +136,7 @@ def scene_page(
 
     summary: sentences above.
     """
-    buildings = sorted(buildings, key=lambda building: -(_number(building.attributes, "residual_m") or 0.0))
+    buildings = sorted(buildings, key=lambda building: -(number(building.attributes, "residual_m") or 0.0))
     present = {
         name for building in buildings for name, value in building.attributes.items() if value is not None
     }
@@ -183,7 +183,7 @@ def _building(building: Shown) -> dict[str, Any]:
         "title": building.title,
         "about": building.about,
         "state": _state(building),
-        "residual": _number(building.attributes, "residual_m"),
+        "residual": number(building.attributes, "residual_m"),
         "height": _height_m(building),
         "attributes": {name: _exact(value) for name, value in building.attributes.items()},
         # the columns of the input come before our status
@@ -217,14 +217,15 @@ def _state(building: Shown) -> str:
     return FLAGGED if any(building.attributes.get(name) for name in flags) else OK
 
 
-def _number(attributes: Mapping[str, Any], name: str) -> float | None:
+def number(attributes: Mapping[str, Any], name: str) -> float | None:
+    """An attribute of any program; None where it is no number."""
     value = attributes.get(name)
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _height_m(building: Shown) -> float | None:
     """By its attributes or, if a program states others, of its meshes; None without one."""
-    top_m, ground_m = (_number(building.attributes, name) for name in ("roof_z_max_m", "ground_z_m"))
+    top_m, ground_m = (number(building.attributes, name) for name in ("roof_z_max_m", "ground_z_m"))
     if top_m is not None and ground_m is not None:
         return top_m - ground_m
     z_m = [z for key, mesh in building.meshes.items() if key != OUTLINES.key for z in mesh.vertex_m[:, 2]]

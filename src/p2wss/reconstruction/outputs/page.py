@@ -84,7 +84,9 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
         for building in scene.values():
             by_id.setdefault(building.building_id, {})[name] = building
     residual_m = {
-        each: of_id[first].attributes.get("residual_m") for each, of_id in by_id.items() if first in of_id
+        each: viewer.number(of_id[first].attributes, "residual_m")
+        for each, of_id in by_id.items()
+        if first in of_id
     }
     worst = sorted(by_id, key=lambda each: -(residual_m.get(each) or 0.0))
     chosen = {building_id: by_id[building_id] for building_id in worst[:MAX_BUILDINGS]}
