@@ -23,9 +23,11 @@ def check(out: Path, terrain: Path | None, tile: str | None, config: Config) -> 
     if tile is not None:
         tile_bounds(tile, config.region.tile_size_m)
     outputs = config.reconstruct.outputs
+    names = ", ".join(outputs)
+    if config.reconstruct.vegetation and {*outputs} <= {"gpkg", "geoparquet"}:
+        log.warning("warning: --vegetation has no effect on files: none of %s has plants", names)
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
-    names = ", ".join(outputs)
     if terrain is not None and "report" not in outputs:  # whose page shows it
         raise InputError(
             f"--terrain {terrain}: {names} cannot hold a terrain; add a mesh format to --outputs, such as"

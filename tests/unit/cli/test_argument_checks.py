@@ -304,6 +304,8 @@ def test_files_per_building_of_formats_without_meshes_are_a_warning(
 ) -> None:
     assert run(place, "--per-building", "--format", "gpkg") == 0
     assert "warning: --per-building has no effect on files: none of gpkg is a mesh format" in caplog.text
+    assert run(place, "--vegetation", "--format", "gpkg") == 0
+    assert "warning: --vegetation has no effect on files: none of gpkg has plants" in caplog.text
 
 
 def test_formats_hold_meshes_or_not() -> None:
