@@ -73,8 +73,8 @@ def reconstruct(
     Parameters
     ----------
     cloud : path, sequence of paths, array, table, or laspy.LasData
-        LAS, LAZ or COPC files or folders of them; points (n, 3), or (n, 4) with LAS classes, or with these as columns x,
-        y, z and classification; or what laspy has read.
+        LAS, LAZ or COPC files or folders of them; points (n, 3), or (n, 4) with LAS classes, or with these as columns
+        x, y, z and classification; or what laspy has read.
     footprints : path, GeoDataFrame, GeoSeries or polygons, optional
         In any CRS. Without them, outlines are derived from the points.
     crs : str, optional
