@@ -89,6 +89,11 @@ class Detection(NamedTuple):
     num_line_samples: int = 2_000
     # metres: points of a plane lie this near to it
     distance_m: float = 0.15
+    # standard deviations of the points: the figure above is at least so many; swept on noisy copies of true roofs. So
+    # many points show the noise, and more of it than the last figure, in metres, is none of a survey, but leaves
+    num_noises: float = 2.0
+    min_noise_points: int = 50
+    max_noise_m: float = 0.25
     # degrees: the surface at a point of a plane differs from the plane by less, unless the surface there is rougher
     # than the next figure in metres
     angle_deg: float = 25.0
@@ -122,6 +127,16 @@ class Detection(NamedTuple):
     # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further
     # from them on average
     simpler_m: float = 0.008
+
+    def for_noise(self, noise_m: float) -> Detection:
+        """The settings for points that are off the surface by this standard deviation. By how much a simpler plane may
+        be further from them grows with its cube, as large noise looks like many small planes; swept."""
+        factor = max(self.num_noises * noise_m / self.distance_m, 1.0)
+        return self._replace(
+            distance_m=factor * self.distance_m,
+            noise_m=factor * self.noise_m,
+            simpler_m=factor**3 * self.simpler_m,
+        )
 
 
 class Drawing(NamedTuple):

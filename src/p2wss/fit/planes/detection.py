@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2wss.fit.points import every_kth
+from p2wss.fit.points import every_kth, quantile
 from p2wss.fit.settings import Detection, PlanePrices
 from p2wss.skeleton.compiled import ZERO, both, entry, inner
 from p2wss.skeleton.nearest import nearest
@@ -18,16 +18,20 @@ from p2wss.skeleton.ordering import sorted_by
 
 # a sum of scores in another order differs by less
 _ROUNDING = 1e-6
+# around this share of the points there are no edges, and the surface is so rough there, in standard deviations of a
+# point
+_EVEN_SHARE, _EVEN_ROUGHNESS = 0.25, 0.62
 
 
 @dataclass(frozen=True)
 class RoofPlanes:
     """plane: (k, 3). label: int (m,), the plane of each point, -1 for none. neighbour: int (m, n), of each point those
-    nearest to it, by which planes are beside each other."""
+    nearest to it, by which planes are beside each other. settings: those for the noise of these points."""
 
     plane: np.ndarray
     label: np.ndarray
     neighbour: np.ndarray
+    settings: Detection
 
 
 def heights(plane: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
@@ -58,7 +62,7 @@ def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> f
 
 def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
     """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre. along: directions of the
-    footprint, radians.
+    footprint, radians. Of points with more noise than usual, those of a plane may be further from it.
 
     Planes grow from the places where the points are most even. Of the points left by these, where smaller ones may
     have fewer than a grown one needs, as of all points where the surface around one shows nothing, the largest plane
@@ -75,8 +79,13 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     if not is_sparse and _on_lines(point_m, neighbour, settings):
         _, neighbour = nearest(point_m, point_m, min(2 * count, len(point_m)))
     plane, label = np.zeros((0, 3)), np.full(len(point_m), -1)
+    normal, rough_m = _surfaces(point_m, neighbour)
+    usual, settings = settings, settings.for_noise(_noise_m(rough_m, settings))
     if not is_sparse:
-        normal, rough_m = _surfaces(point_m, neighbour)
+        if settings != usual:
+            # noise turns the surface around few points
+            _, neighbour = nearest(point_m, point_m, min(2 * neighbour.shape[1], len(point_m)))
+            normal, rough_m = _surfaces(point_m, neighbour)
         order = np.argsort(rough_m, kind="stable")
         fewest = max(min_points, settings.min_points)
         plane, label = _grown(point_m, neighbour, normal, rough_m, order, fewest, settings)
@@ -90,7 +99,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
     if len(plane):
         plane, label = _settled(point_m, plane, label, neighbour, settings)
         plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
-    return RoofPlanes(plane, label, neighbour)
+    return RoofPlanes(plane, label, neighbour, settings)
 
 
 def payable(
@@ -101,7 +110,7 @@ def payable(
     ``cap_m``. The points of a plane that is left out go to those. stands_m2: the area that a point stands for."""
     is_kept, label = _paid(point_m, found.neighbour, plane, found.label, stands_m2, prices)
     number = np.append(np.cumsum(is_kept) - 1, -1)
-    return RoofPlanes(plane[is_kept], number[label], found.neighbour)
+    return RoofPlanes(plane[is_kept], number[label], found.neighbour, found.settings)
 
 
 @entry
@@ -185,6 +194,14 @@ def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.n
         a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
         c = (sz - a * sx - b * sy) / one
     return np.array([a, b, c + centre[2] - a * centre[0] - b * centre[1]])
+
+
+def _noise_m(rough_m: np.ndarray, settings: Detection) -> float:
+    """The standard deviation of points about surfaces so rough (m,); 0 of too few, and of what is no surface."""
+    if len(rough_m) < settings.min_noise_points:
+        return 0.0
+    noise_m = quantile(rough_m, _EVEN_SHARE) / _EVEN_ROUGHNESS
+    return noise_m if noise_m < settings.max_noise_m else 0.0
 
 
 @inner

@@ -127,7 +127,7 @@ def fit_planes(
     main = along[:_NUM_DIRECTIONS]
     found = detect(point_m, density, main, settings.detection)
     if len(found.plane):
-        plane = regular(found, point_m, along, settings.detection)
+        plane = regular(found, point_m, along)
         found = payable(point_m, found, plane, 1 / density, settings.prices)
     # none may be worth its price
     if not len(plane := found.plane):

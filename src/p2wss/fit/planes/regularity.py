@@ -19,15 +19,13 @@ _NEARLY_LEVEL, _NEARLY_EQUAL = 0.14, 0.06
 _NEARLY_ALONG = np.radians(8)
 
 
-def regular(
-    planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float], settings: Detection
-) -> np.ndarray:
+def regular(planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float]) -> np.ndarray:
     """Planes (k, 3) near to those detected, some of them the same. along: directions of the footprint, radians."""
     bearing = bearings(planes.plane[:, :2])
     turns = turn_between(bearing[:, None], np.array(along))
     turn = turns[np.arange(len(turns)), np.abs(turns).argmin(axis=1)]
     towards = np.where(np.abs(turn) < _NEARLY_ALONG, bearing - turn, np.nan)
-    return np.asarray(_regular(planes.plane, planes.label, point_m, towards, settings))
+    return np.asarray(_regular(planes.plane, planes.label, point_m, towards, planes.settings))
 
 
 @entry
