@@ -20,7 +20,7 @@ REGION = {"crs": "EPSG:2154", "tile_size_m": SIZE_M}
 SECTIONS = {
     "region": REGION,
     "scenes": {"margin_m": 20, "max_failed_fraction": 1},
-    "scans": {"density_per_m2": 2},
+    "scans": {"density_per_m2": 5},
     "crops": {"split": "test", "guard_m": 2},
     "eval": {"num_samples": 64},
 }
