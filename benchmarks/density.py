@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import few_points
@@ -71,8 +72,22 @@ def noisy(building: Building, noise_m: float, apart_m: float, seed: int) -> Buil
     return replace(building, point_m=building.point_m + np.column_stack([np.zeros((num, 2)), off_m]))
 
 
-def mean_of(draws: list[dict[str, float]]) -> dict[str, float]:
-    return {key: float(np.mean([draw[key] for draw in draws])) for key in draws[0]}
+def few(building: Building, per_m2: float, seed: int) -> Building:
+    return few_points.thinned(building, per_m2, seed, True)
+
+
+# kinds of points: what makes them of a building and a seed, and the bar in Trondheim, where alone noise is measured
+DENSITIES = {
+    "all per m²": (partial(few, per_m2=ALL_PER_M2), None),
+    **{f"{per_m2:g} per m²": (partial(few, per_m2=per_m2), bar) for per_m2, bar in BARS.items()},
+}
+NOISES = {
+    f"flights {apart_m:g} m apart" if apart_m else f"noise of {noise_m:g} m": (
+        partial(noisy, noise_m=noise_m, apart_m=apart_m),
+        bar,
+    )
+    for (noise_m, apart_m), bar in NOISE_BARS.items()
+}
 
 
 def with_true_lines(
@@ -96,41 +111,30 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     arguments = parser.parse_args()
     figures = Figures()
-    print("place".ljust(14) + "per m²  exact, false, missing, corners F1")
+    print("place, points".ljust(34) + "exact, false, missing, corners F1")
     for name in EPSG:
         place = arguments.data / name
         if not place.exists():
             continue
         buildings = real.read_files(place / "footprints.gpkg", [place / "cloud.laz"], name, Config())
-        for per_m2 in (ALL_PER_M2, *BARS):
+        wireframes = json.loads((place / "wireframes.json").read_text(encoding="utf-8"))
+        has_bars = name == "trondheim" and arguments.lines is None
+        for kind, (drawing, bar) in (DENSITIES | (NOISES if has_bars else {})).items():
             draws = []
-            for seed in arguments.seeds if per_m2 in BARS else [0]:
-                few = [few_points.thinned(each, per_m2, seed, True) for each in buildings]
+            for seed in arguments.seeds if bar else [0]:
+                drawn = [drawing(each, seed=seed) for each in buildings]
                 if arguments.lines is not None:
-                    wireframes = json.loads((place / "wireframes.json").read_text(encoding="utf-8"))
-                    few = [
+                    drawn = [
                         with_true_lines(each, wireframes.get(each.building_id), arguments.lines, seed)
-                        for each in few
+                        for each in drawn
                     ]
-                draws.append(judged(few_points.with_roofs_around(few), place, arguments.judge))
-            mean = mean_of(draws)
-            amount = f"{per_m2:g}" if per_m2 in BARS else "all"
-            print(name.ljust(14) + amount.ljust(8) + ", ".join(f"{value:.3f}" for value in mean.values()))
-            figures.row(f"{name}, {amount} per m²", mean)
-            if name == "trondheim" and per_m2 in BARS and arguments.lines is None:
-                figures.at_least(f"{name}, {amount} per m², exact", mean["exact"], BARS[per_m2])
-        for (noise_m, apart_m), bar in NOISE_BARS.items():
-            if name != "trondheim" or arguments.lines is not None:
-                break
-            draws = []
-            for seed in arguments.seeds:
-                off = [noisy(each, noise_m, apart_m, seed) for each in buildings]
-                draws.append(judged(few_points.with_roofs_around(off), place, arguments.judge))
-            mean = mean_of(draws)
-            kind = f"flights {apart_m:g} m apart" if apart_m else f"noise of {noise_m:g} m"
-            print(f"{name}, {kind}".ljust(34) + ", ".join(f"{value:.3f}" for value in mean.values()))
-            figures.row(f"{name}, {kind}", mean)
-            figures.at_least(f"{name}, {kind}, exact", mean["exact"], bar)
+                draws.append(judged(few_points.with_roofs_around(drawn), place, arguments.judge))
+            mean = {key: float(np.mean([draw[key] for draw in draws])) for key in draws[0]}
+            label = f"{name}, {kind}"
+            print(label.ljust(34) + ", ".join(f"{value:.3f}" for value in mean.values()))
+            figures.row(label, mean)
+            if bar and has_bars:
+                figures.at_least(f"{label}, exact", mean["exact"], bar)
     return figures.end()
 
 

@@ -273,9 +273,9 @@ def extent(headers: Sequence[CloudHeader]) -> Bounds | None:
     return None
 
 
-def cloud_of(data: laspy.LasData, classes: ClassSet = LAS) -> Cloud:
+def cloud_of(data: laspy.LasData) -> Cloud:
     """The points of a cloud that laspy has read, as :func:`read_clouds` returns those of a file."""
-    return _cloud(data.points, data.header, None, classes, crs_of(data.header))
+    return _cloud(data.points, data.header, None, LAS, crs_of(data.header))
 
 
 def _chunks(

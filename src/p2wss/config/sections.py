@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator
@@ -42,59 +43,42 @@ class Config(Section):
     reconstruct: Reconstruct = Reconstruct()
 
     @model_validator(mode="after")
-    def _changes_are_valid(self) -> Self:
+    def _sections_fit(self) -> Self:
         for name, changes in self.ablation.variants.items():
             changed(self.model, changes, f"ablation.variants.{name}")
-        for number, member in enumerate(self.dataset.members):
-            for name in MEMBER_SECTIONS:
-                changed(getattr(self, name), getattr(member, name), f"dataset.members.{number}.{name}")
-        return self
-
-    @model_validator(mode="after")
-    def _terrain_under_margins(self) -> Self:
+        members = [self._of_member(number) for number in range(len(self.dataset.members))]
+        keys = ["", *(f"dataset.members.{number}: " for number in range(len(members)))]
         # a command gets only the sections of its stage; the other sections have their defaults
-        if not {"fetch", "scenes"} <= self.model_fields_set:
-            return self
-        margins_m = {"": (self.fetch.margin_m, self.scenes.margin_m)}
-        for number, member in enumerate(self.dataset.members):
-            key = f"dataset.members.{number}: "
-            fetch, scenes = changed(self.fetch, member.fetch, key), changed(self.scenes, member.scenes, key)
-            margins_m[key] = fetch.margin_m, scenes.margin_m
-        for key, (of_fetch_m, of_scenes_m) in margins_m.items():
-            if of_fetch_m < of_scenes_m + 30:
+        given = self.model_fields_set
+        for key, each in zip(keys, [self, *members], strict=True):
+            if {"fetch", "scenes"} <= given and each.fetch.margin_m < each.scenes.margin_m + 30:
                 raise ValueError(f"{key}fetch.margin_m must be at least scenes.margin_m + 30")
-        return self
-
-    @model_validator(mode="after")
-    def _points_in_buffers(self) -> Self:
-        # at the border of a tile, a crop would lack a part of its points
-        if {"scans", "crops"} <= self.model_fields_set:
-            keys = {
-                f"dataset.members.{number}: ": each.scans for number, each in enumerate(self.dataset.members)
-            }
-            for key, changes in {"": {}, **keys}.items():
-                if changed(self.scans, changes, key).keep_margin_m < self.crops.buffer_m:
-                    raise ValueError(f"{key}scans.keep_margin_m must be at least crops.buffer_m")
-        return self
-
-    @model_validator(mode="after")
-    def _vintages_have_one_source(self) -> Self:
+            # at the border of a tile, a crop would lack a part of its points
+            if {"scans", "crops"} <= given and each.scans.keep_margin_m < each.crops.buffer_m:
+                raise ValueError(f"{key}scans.keep_margin_m must be at least crops.buffer_m")
         # terrain and clouds are stored by vintage and tile alone: of two members, both would get those of the first
-        if not {"region", "fetch"} <= self.model_fields_set:
-            return self
-        members: dict[str, tuple[Region, dict[str, Any]]] = {}
-        for number, member in enumerate(self.dataset.members):
-            key = f"dataset.members.{number}"
-            region, fetch = changed(self.region, member.region, key), changed(self.fetch, member.fetch, key)
-            source = fetch.of_tiles | {"crs": region.crs}
-            for name, (other, of_other) in members.items():
-                if other.shares_files(region) and source != of_other:
-                    raise ValueError(
-                        f"{key}: has the region.vintage and a part of the area of member {name}, but other terrain, "
-                        "clouds or fetch.margin_m; name a vintage of its own"
-                    )
-            members[member.name] = region, source
+        for first, second in itertools.combinations(
+            range(len(members)) if {"region", "fetch"} <= given else (), 2
+        ):
+            one, other = members[first], members[second]
+            is_same = (one.fetch.of_tiles, one.region.crs) == (other.fetch.of_tiles, other.region.crs)
+            if one.region.shares_files(other.region) and not is_same:
+                raise ValueError(
+                    f"{keys[1 + second]}has the region.vintage and a part of the area of member "
+                    f"{self.dataset.members[first].name}, but other terrain, clouds or fetch.margin_m; name a vintage "
+                    "of its own"
+                )
         return self
+
+    def _of_member(self, number: int) -> Self:
+        """The config with the changes of a member."""
+        member, key = self.dataset.members[number], f"dataset.members.{number}"
+        return self.model_copy(
+            update={
+                name: changed(getattr(self, name), getattr(member, name), f"{key}.{name}")
+                for name in MEMBER_SECTIONS
+            }
+        )
 
 
 def changed(section: S, changes: dict[str, Any], key: str) -> S:

@@ -156,7 +156,8 @@ def _matched(
         values = [solid.building_id, *(solid.attributes.get(name) for name in (id_field or "", *GENERIC.ids))]
         named = [str(value) for value in values if str(value) in footprints.index]
         # numbers of another program may be ids of other footprints
-        around = shapely.box(*(bounds_of([solid.mesh]) or ()))
+        xy_m = solid.mesh.vertex_m[:, :2]
+        around = shapely.box(*xy_m.min(axis=0), *xy_m.max(axis=0))
         ids = [name for name in named if footprints[name].intersects(around)]
         num_elsewhere += bool(named) and not ids
         if ids:

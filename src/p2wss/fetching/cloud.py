@@ -64,8 +64,9 @@ def write_cloud(
 
     Raises :class:`InputError` if a file is truncated or states a CRS that differs from ``crs``.
     """
-    for path in paths:
-        check_cloud(path, crs)
+    headers = [read_header(path) for path in paths]
+    for path, each in zip(paths, headers, strict=True):
+        check_crs(crs_of(each), crs, path)
     if len(paths) == 1 and paths[0].suffix.lower() == ".laz" and _is_inside(paths[0], bounds, holes):
         with files.atomic(out) as temporary:
             if link and integrity.has_checksum(paths[0]):  # one without gets one, which the source must not
@@ -73,8 +74,7 @@ def write_cloud(
             else:
                 shutil.copyfile(paths[0], temporary)
                 append_checksum(temporary)
-        return int(read_header(paths[0]).point_count)
-    headers = [read_header(path) for path in paths]
+        return int(headers[0].point_count)
     # older formats have no classes above 31
     first = max(headers, key=lambda each: each.point_format.id > _LAST_OLD_FORMAT)
     header = laspy.LasHeader(version=first.version, point_format=first.point_format)

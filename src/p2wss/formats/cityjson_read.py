@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ _INSIDE = ("BuildingRoom", "BuildingUnit", "BuildingStorey", "BuildingFurniture"
 _LODS = ("2.2", "2.3", "2.0", "2", "2.1")
 # geometries that are read: how many lists there are around each polygon
 _DEPTHS = {"MultiSurface": 1, "CompositeSurface": 1, "Solid": 2, "MultiSolid": 3, "CompositeSolid": 3}
+_OF_SOLIDS = 3
 
 
 @dataclass(frozen=True)
@@ -213,9 +213,10 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
             best = next(filter(None, by_lod), [])
             # some files have the surfaces of a solid beside it
             closed = [each for each in best if "Solid" in each["type"]]
-            for number, geometry in enumerate(chain(*map(_single, closed or best)), start=max(parts) + 1):
-                for rings, kind in _polygons_of(geometry):
-                    parts.append(number if closed else 0)
+            for geometry in closed or best:
+                first = max(parts) + 1
+                for number, rings, kind in _polygons_of(geometry):
+                    parts.append(first + number if closed else 0)
                     triangles.append(triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]))
                     kinds.append(np.full(len(triangles[-1]), kind, np.uint8))
         triangle = np.concatenate(triangles)
@@ -234,34 +235,19 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
     return solids
 
 
-def _single(geometry: dict[str, Any]) -> list[dict[str, Any]]:
-    """The solids of a geometry of several; any other as it is."""
-    if geometry["type"] not in ("MultiSolid", "CompositeSolid"):
-        return [geometry]
-    semantics = geometry.get("semantics", {"surfaces": [], "values": None})
-    return [
-        {
-            "type": "Solid",
-            "boundaries": shells,
-            "semantics": semantics | {"values": semantics["values"] and semantics["values"][k]},
-        }
-        for k, shells in enumerate(geometry["boundaries"])
-    ]
-
-
-def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[Any, int]]:
-    """(rings, kind) of each polygon of a geometry."""
+def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[int, Any, int]]:
+    """(number of its solid in the geometry, rings, kind) of each polygon of a geometry."""
     semantics = geometry.get("semantics", {"surfaces": [], "values": None})
     kinds = [_KIND.get(surface["type"], FaceKind.WALL) for surface in semantics["surfaces"]]
-    pairs = [(geometry["boundaries"], semantics["values"])]
-    for _ in range(_DEPTHS[geometry["type"]]):
-        pairs = [
-            (each, values[k] if values else None)
-            for boundaries, values in pairs
+    found = [(0, geometry["boundaries"], semantics["values"])]
+    for depth in range(_DEPTHS[geometry["type"]], 0, -1):
+        found = [
+            (k if depth == _OF_SOLIDS else number, each, values[k] if values else None)
+            for number, boundaries, values in found
             for k, each in enumerate(boundaries)
         ]
-    for rings, surface in pairs:
-        yield rings, FaceKind.WALL if surface is None else kinds[surface]
+    for number, rings, surface in found:
+        yield number, rings, FaceKind.WALL if surface is None else kinds[surface]
 
 
 def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:

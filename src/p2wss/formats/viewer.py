@@ -228,8 +228,8 @@ def _height_m(building: Shown) -> float | None:
     top_m, ground_m = (number(building.attributes, name) for name in ("roof_z_max_m", "ground_z_m"))
     if top_m is not None and ground_m is not None:
         return top_m - ground_m
-    z_m = [z for key, mesh in building.meshes.items() if key != OUTLINES.key for z in mesh.vertex_m[:, 2]]
-    return float(np.ptp(z_m)) if z_m else None
+    z_m = [mesh.vertex_m[:, 2] for key, mesh in building.meshes.items() if key != OUTLINES.key]
+    return float(np.ptp(np.concatenate(z_m))) if any(map(len, z_m)) else None
 
 
 def _exact(value: Any) -> Any:

@@ -57,7 +57,7 @@ def warm_product() -> None:
     # only footprints that may have to move
     solve_shift(np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1), np.ones(1), np.zeros(2))
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
-    exports.block([exports.mesh(result, config) for result in results], terrain, config)
+    exports.with_terrain([exports.mesh(result, config) for result in results], terrain, config)
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
     if find_spec("torch") is not None:
         from p2wss.nets.batch import thin

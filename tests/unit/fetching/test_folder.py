@@ -209,17 +209,22 @@ def test_nodata_becomes_nan(tmp_path: Path) -> None:
         known_height_share(terrain, (652000, 6861052, 652040, 6861058), "x")
 
 
-def test_another_cell_size_is_interpolated(tmp_path: Path) -> None:
-    """A file with 1 m cells beside one with 5 m cells: a plane is reproduced on both sides of the seam."""
-    write_asc(tmp_path / "a.asc", 652000, 6861099, 100, 1)
-    write_asc(tmp_path / "b.asc", 652100, 6861095, 20, 5)
-    files = [tmp_path / "a.asc", tmp_path / "b.asc"]
+def errors_of_merged(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(x, how far heights of a.asc and b.asc together are from the plane) of cells of 1 m."""
+    files = [folder / "a.asc", folder / "b.asc"]
     terrain = mosaic(files, (652010.0, 6861010.0, 652180.0, 6861080.0), "EPSG:2154", "x")
     rows, columns = terrain.height_m.shape
     x, y = np.meshgrid(
         terrain.x_min_m + np.arange(columns) + 0.5, terrain.y_max_m - np.arange(rows) - 0.5, indexing="xy"
     )
-    error = np.abs(terrain.height_m - plane(x, y))
+    return x, np.abs(terrain.height_m - plane(x, y))
+
+
+def test_another_cell_size_is_interpolated(tmp_path: Path) -> None:
+    """A file with 1 m cells beside one with 5 m cells: a plane is reproduced on both sides of the seam."""
+    write_asc(tmp_path / "a.asc", 652000, 6861099, 100, 1)
+    write_asc(tmp_path / "b.asc", 652100, 6861095, 20, 5)
+    x, error = errors_of_merged(tmp_path)
     assert np.nanmax(error[:, x[0] < 652095]) < 0.006
     assert np.nanmax(error[:, x[0] > 652105]) < 0.02
     assert np.isfinite(error).mean() > 0.97
@@ -229,14 +234,9 @@ def test_a_grid_between_the_cells_of_another_is_interpolated(tmp_path: Path) -> 
     """Beside a file whose cells are half a cell off, heights are those of the plane, not of half a cell beside."""
     write_asc(tmp_path / "a.asc", 652000, 6861099, 100, 1)
     write_asc(tmp_path / "b.asc", 652099.5, 6861099.5, 100, 1)
-    files = [tmp_path / "a.asc", tmp_path / "b.asc"]
-    terrain = mosaic(files, (652010.0, 6861010.0, 652180.0, 6861080.0), "EPSG:2154", "x")
-    rows, columns = terrain.height_m.shape
-    x, y = np.meshgrid(
-        terrain.x_min_m + np.arange(columns) + 0.5, terrain.y_max_m - np.arange(rows) - 0.5, indexing="xy"
-    )
+    x, error = errors_of_merged(tmp_path)
     is_inner = (x < 652098) | (x > 652101)
-    assert np.abs(terrain.height_m - plane(x, y))[is_inner].max() < 0.006
+    assert error[is_inner].max() < 0.006
 
 
 def test_rasters_of_a_folder_are_refused_and_cleaned_as_terrain_is(

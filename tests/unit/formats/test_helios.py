@@ -30,10 +30,11 @@ def bodies() -> list[Body]:
         ball.vertices + np.array([X + 30, Y + 15, 8]), ball.faces.astype(np.int32), kind, np.arange(len(kind))
     )
     heights = 2 + 0.05 * np.arange(60, dtype=np.float32)[None] + np.zeros((40, 1), np.float32)
+    land = Terrain(heights, X, Y + 40, 1.0)
     return [
         Body.of_building("Dé l'Eau 1", house, {"wall": "brick", "roof": "tile", "ground": "glass"}),
         Body.of_building("tree-1", tree),
-        terrain_mesh.block(Terrain(heights, X, Y + 40, 1.0), (X + 4, Y + 4, X + 50, Y + 30), 0.1),
+        terrain_mesh.block(terrain_mesh.window(land, (X + 4, Y + 4, X + 50, Y + 30)), 0.1),
     ]
 
 

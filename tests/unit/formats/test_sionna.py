@@ -42,7 +42,8 @@ def meshes() -> list[Body]:
     result[1] = replace(result[1], buildings=(BuildingRef("B 2", BRICK),))
     heights = 2 + 0.05 * np.arange(60, dtype=np.float32)[None] + np.zeros((40, 1), np.float32)
     land = Terrain(heights, X, Y + 40, 1.0)
-    return [*result, terrain_mesh.block(land, (X + 4, Y + 4, X + 50, Y + 30), 0.1)]
+    window = terrain_mesh.window(land, (X + 4, Y + 4, X + 50, Y + 30))
+    return [*result, terrain_mesh.block(window, 0.1)]
 
 
 def write(folder: Path, meshes: Sequence[Body], frequency_ghz: float = 3.5, **options: bool) -> Frame:

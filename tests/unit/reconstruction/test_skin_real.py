@@ -17,7 +17,7 @@ from p2wss.reconstruction.area import footprint_settings, window
 from p2wss.reconstruction.outputs import exports
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.result import Result
-from p2wss.reconstruction.skin import block_skins, skins, terrain_mesh
+from p2wss.reconstruction.skin import block_skins, skins
 from p2wss.reconstruction.skin.solids import TOLERANCE_M
 from p2wss.skeleton.types import FaceKind
 
@@ -60,10 +60,7 @@ def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:
         land = Terrain(height, raster.bounds.left, raster.bounds.top, raster.res[0])
     config = Reconstruct()
     buildings = [exports.mesh(result, config) for result in results]
-    ground = exports.block(buildings, land, config)
-    assert ground is not None
-    bounds, _ = exports._around(buildings, config)
-    buildings = terrain_mesh.lowered_into(buildings, land, bounds, config.terrain_tolerance_m)
+    buildings, ground = exports.with_terrain(buildings, land, config)
     closed = block_skins.joined(buildings, np.inf)
     standing, with_holes = block_skins.on_terrain(closed, ground)
     assert all((skin.mesh.kind != FaceKind.GROUND).all() for skin in standing)

@@ -26,7 +26,7 @@ def block(height_m: np.ndarray, cell_m: float = 1.0, tolerance_m: float = 0.2) -
     rows, columns = height_m.shape
     raster = Terrain(height_m.astype(np.float32), X, Y + rows * cell_m, cell_m)
     bounds = (X + cell_m, Y + cell_m, X + (columns - 1) * cell_m, Y + (rows - 1) * cell_m)
-    return terrain_mesh.block(raster, bounds, tolerance_m, lowest_m=-20).mesh
+    return terrain_mesh.block(terrain_mesh.window(raster, bounds), tolerance_m, lowest_m=-20).mesh
 
 
 def placed(solids: list[Solid], z_m: float = -10.0) -> list[Solid]:

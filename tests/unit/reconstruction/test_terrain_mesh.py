@@ -51,7 +51,9 @@ def test_every_cell_is_within_the_tolerance(
     height = np.add.outer(np.sin(np.arange(rows) / 5), np.arange(columns) / 9)
     height = (height + draw.normal(0, roughness, shape)).astype(np.float32)
     bounds = (X + cell_m, Y + cell_m, X + (columns - 1) * cell_m, Y + (rows - 1) * cell_m)
-    mesh = terrain_mesh.block(terrain(height, cell_m), bounds, tolerance_m, lowest_m=-50.0)
+    mesh = terrain_mesh.block(
+        terrain_mesh.window(terrain(height, cell_m), bounds), tolerance_m, lowest_m=-50.0
+    )
     local = checked(mesh)
     assert local.bounds[0, 2] < -50 and local.bounds[0, 2] < height.min()
     assert local.bounds[:, 0] == pytest.approx([cell_m / 2, (columns - 0.5) * cell_m])
@@ -69,7 +71,7 @@ def test_every_cell_is_within_the_tolerance(
 def test_flat_land_needs_few_triangles_and_gaps_take_the_nearest_height() -> None:
     height = np.full((50, 60), 12.0)
     height[:, 30:] = np.nan
-    mesh = terrain_mesh.block(terrain(height), (X - 20, Y + 5, X + 50, Y + 45), 0.1)
+    mesh = terrain_mesh.block(terrain_mesh.window(terrain(height), (X - 20, Y + 5, X + 50, Y + 45)), 0.1)
     local = checked(mesh)
     assert len(mesh.mesh.triangle) == 14
     assert local.bounds[:, 2] == pytest.approx([10, 12])
@@ -81,19 +83,20 @@ def test_a_coarser_grid_of_a_large_terrain_is_told(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     height, bounds = np.add.outer(np.arange(60.0), np.zeros(60)), (X + 5, Y + 5, X + 55, Y + 55)
-    assert terrain_mesh.block(terrain(height, 0.5), bounds, 0.1).attributes == {"spacing_m": 0.5}
+    body = terrain_mesh.block(terrain_mesh.window(terrain(height, 0.5), bounds), 0.1)
+    assert body.attributes == {"spacing_m": 0.5}
     assert not caplog.text
     monkeypatch.setattr(terrain_mesh, "_MAX_CELLS", 1500)
-    body = terrain_mesh.block(terrain(height, 0.5), bounds, 0.1)
+    body = terrain_mesh.block(terrain_mesh.window(terrain(height, 0.5), bounds), 0.1)
     assert body.attributes == {"spacing_m": 1.5}
     assert "more than 1500 cells: its mesh has heights every 1.5 m, not every 0.5 m" in caplog.text
 
 
 def test_terrain_without_any_height_is_refused() -> None:
     with pytest.raises(InputError, match="no height"):
-        terrain_mesh.block(terrain(np.full((20, 20), np.nan)), (X, Y, X + 10, Y + 10), 0.1)
+        terrain_mesh.window(terrain(np.full((20, 20), np.nan)), (X, Y, X + 10, Y + 10))
     with pytest.raises(InputError, match="no height"):
-        terrain_mesh.block(terrain(np.zeros((20, 20))), (X + 900, Y, X + 910, Y + 10), 0.1)
+        terrain_mesh.window(terrain(np.zeros((20, 20))), (X + 900, Y, X + 910, Y + 10))
 
 
 @pytest.mark.parametrize("has_gaps", [False, True])
@@ -113,9 +116,9 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside(has_gaps: bool) 
     for i, (x, y) in enumerate(places):
         position = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
         houses.append(Body.of_building(f"h{i}", Mesh.of_kernel(meshes, i).translated(position)))
-    bounds = (X + 5, Y + 10, X + 55, Y + 48)
-    block = terrain_mesh.block(land, bounds, 0.1, 20.0)
-    lowered = terrain_mesh.lowered_into(houses, land, bounds, 0.1)
+    window = terrain_mesh.window(land, (X + 5, Y + 10, X + 55, Y + 48))
+    block = terrain_mesh.block(window, 0.1, 20.0)
+    lowered = terrain_mesh.lowered_into(houses, window, 0.1)
     draw = np.random.default_rng(0)
 
     ground = RayMeshIntersector(checked(block))
@@ -159,10 +162,10 @@ def test_a_coarse_terrain_leaves_no_gap_under_a_building_either() -> None:
         for i in range(len(boxes))
     ]
     tolerance_m = 3.0
-    bounds = (X + 10, Y + 10, X + 95, Y + 95)
-    block = terrain_mesh.block(land, bounds, tolerance_m, 50.0)
+    window = terrain_mesh.window(land, (X + 10, Y + 10, X + 95, Y + 95))
+    block = terrain_mesh.block(window, tolerance_m, 50.0)
     ground = RayMeshIntersector(checked(block))
-    lowered = terrain_mesh.lowered_into(houses, land, bounds, tolerance_m)
+    lowered = terrain_mesh.lowered_into(houses, window, tolerance_m)
     for (x, y), house in zip(boxes, lowered, strict=True):
         above = np.column_stack(
             [np.random.default_rng(0).uniform([x, y], [x + 8, y + 8], (50, 2)), np.full(50, 90.0)]

@@ -16,7 +16,7 @@ from p2wss.config import ERRORS_SUFFIX, OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstr
 from p2wss.config.reconstruct import Output
 from p2wss.data.reasons import DUPLICATE, HAS_PARTS, HEIGHT_FROM_ATTRIBUTE, NO_POINTS
 from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import Bounds, grown
+from p2wss.data.tiling import grown
 from p2wss.formats import gpkg, sionna
 from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
@@ -148,10 +148,9 @@ def _meshes(
     buildings: Sequence[Body] = Lazy(lambda number: mesh(results[number], config), with_mesh)
     if terrain is not None or config.skin or config.wedges:
         buildings = list(buildings)
-    ground = None if terrain is None else block(buildings, terrain, config)
+    ground = None
     if terrain is not None and buildings:
-        bounds, _ = _around(buildings, config)
-        buildings = terrain_mesh.lowered_into(buildings, terrain, bounds, config.terrain_tolerance_m)
+        buildings, ground = with_terrain(buildings, terrain, config)
     skins: Sequence[Skin] = []
     if config.skin or config.wedges:
         is_cut = ground is not None and config.skin_terrain == "cut"
@@ -209,20 +208,18 @@ def write_meshes(
     return [folder / name for name in contents]
 
 
-def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> Body | None:
-    """The terrain around the buildings, None without buildings. Raises :class:`InputError` if it has no height."""
-    if not buildings:
-        return None
-    bounds, lowest_m = _around(buildings, config)
-    result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, lowest_m)
-    return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
-
-
-def _around(buildings: Sequence[Body], config: Reconstruct) -> tuple[Bounds, float]:
-    """(the bounds of the terrain around buildings, their lowest height)."""
+def with_terrain(
+    buildings: Sequence[Body], terrain: Terrain, config: Reconstruct
+) -> tuple[Sequence[Body], Body]:
+    """(the buildings, which reach into the terrain around them, its mesh). Raises :class:`InputError` if it has no
+    height."""
     corners = np.concatenate([building.mesh.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    return grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m), low[2]
+    bounds = grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m)
+    around = terrain_mesh.window(terrain, bounds)
+    ground = terrain_mesh.block(around, config.terrain_tolerance_m, low[2])
+    ground = replace(ground, buildings=(BuildingRef(ground.name, {"terrain": config.materials.ground}),))
+    return terrain_mesh.lowered_into(buildings, around, config.terrain_tolerance_m), ground
 
 
 def _is_cut(config: Reconstruct, has_terrain: bool) -> bool:

@@ -26,26 +26,15 @@ _BELOW_M, _FOOT_M = 2.0, 0.5
 _MAX_CELLS = 4_000_000
 
 
-def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float = np.inf) -> Body:
-    """A closed solid over the centres of the cells in ``bounds`` and of one more row of cells on every side.
+def block(window: Terrain, tolerance_m: float, lowest_m: float = np.inf) -> Body:
+    """A closed solid over the centres of the cells of a :func:`window`.
 
     The top is a Delaunay triangulation, to which cells are added as vertices until no cell is further than
     ``tolerance_m`` above or below it (greedy insertion, Garland and Heckbert 1995, section 4, the worst cell of
     every triangle in each round). The sides are vertical; the bottom is level, below all ground and ``lowest_m``.
-    Cells without data take the height of the nearest cell with data. Of more than 4 million cells, one in k along rows
-    and columns is used, with a warning; the attribute ``spacing_m`` tells. Raises :class:`InputError` if there is no
-    height.
+    The attribute ``spacing_m`` is how far cells are apart.
     """
-    window = _window(terrain, bounds)
     height_m, spacing_m = window.height_m, window.cell_m
-    if spacing_m > terrain.cell_m:
-        log.warning(
-            "warning: the terrain around the buildings has more than %d cells: its mesh has heights every %g m, not"
-            " every %g m (fewer buildings at a time, as by --bbox, have all)",
-            _MAX_CELLS,
-            spacing_m,
-            terrain.cell_m,
-        )
     rows, columns = height_m.shape
     vertices = np.array([0, columns - 1, (rows - 1) * columns, rows * columns - 1])
     while True:
@@ -67,13 +56,13 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
     return replace(body, attributes={"spacing_m": round(spacing_m, 3)})
 
 
-def lowered_into(bodies: Sequence[Body], terrain: Terrain, bounds: Bounds, tolerance_m: float) -> list[Body]:
+def lowered_into(bodies: Sequence[Body], window: Terrain, tolerance_m: float) -> list[Body]:
     """The buildings with their ground faces lowered below the lowest terrain under each, walls extended.
 
     So there is no gap between a level ground face and sloping terrain through which a ray could enter the building.
-    bounds, tolerance_m: of :func:`block`, which may be so far below the terrain, and has heights where that has none.
+    window, tolerance_m: of :func:`block`, which may be so far below the terrain.
     """
-    result, window = [], _window(terrain, bounds)
+    result = []
     for body in bodies:
         mesh = body.mesh
         low, high = mesh.vertex_m.min(axis=0), mesh.vertex_m.max(axis=0)
@@ -111,8 +100,12 @@ def _worst_cells(height_m: np.ndarray, corner: np.ndarray, tolerance_m: float) -
     return result
 
 
-def _window(terrain: Terrain, bounds: Bounds) -> Terrain:
-    """Heights of a grid that covers ``bounds``, gaps filled, which may be coarser."""
+def window(terrain: Terrain, bounds: Bounds) -> Terrain:
+    """The cells in ``bounds`` and one more row of cells on every side. Cells without data take the height of the
+    nearest cell with data. Of more than 4 million cells, one in k along rows and columns is used, with a warning.
+
+    Raises :class:`InputError` if there is no height.
+    """
     cell = terrain.cell_m
     x_min, y_min, x_max, y_max = bounds
     left = int(np.floor((x_min - terrain.x_min_m) / cell - 0.5))
@@ -120,6 +113,14 @@ def _window(terrain: Terrain, bounds: Bounds) -> Terrain:
     first = int(np.floor((terrain.y_max_m - y_max) / cell - 0.5))
     last = int(np.ceil((terrain.y_max_m - y_min) / cell - 0.5))
     step = max(int(np.ceil(np.sqrt((right - left + 1) * (last - first + 1) / _MAX_CELLS))), 1)
+    if step > 1:
+        log.warning(
+            "warning: the terrain around the buildings has more than %d cells: its mesh has heights every %g m, not"
+            " every %g m (fewer buildings at a time, as by --bbox, have all)",
+            _MAX_CELLS,
+            step * cell,
+            cell,
+        )
     column = np.arange(left, right + step, step)
     row = np.arange(first, last + step, step)
     rows, columns = terrain.height_m.shape
