@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from p2wss import skeleton
+from p2wss.config import Reconstruct
 from p2wss.data.terrain import Terrain
 from p2wss.formats.meshes import TERRAIN, Body
 from p2wss.mesh import Mesh
+from p2wss.reconstruction.outputs import exports
 from p2wss.reconstruction.skin import terrain_mesh
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.errors import InputError
@@ -97,6 +99,20 @@ def test_terrain_without_any_height_is_refused() -> None:
         terrain_mesh.window(terrain(np.full((20, 20), np.nan)), (X, Y, X + 10, Y + 10))
     with pytest.raises(InputError, match="no height"):
         terrain_mesh.window(terrain(np.zeros((20, 20))), (X + 900, Y, X + 910, Y + 10))
+
+
+def test_a_building_where_the_terrain_has_no_heights_reaches_into_its_block() -> None:
+    height = np.full((60, 60), 20.0)
+    height[20:40, 20:40] = np.nan
+    meshes = skeleton.build(
+        Polygons.from_rings([[np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)]]),
+        np.array([35.0, 90, 35, 90]),
+        np.array([5.0]),
+    )
+    house = Body.of_building("h", Mesh.of_kernel(meshes, 0).translated(np.array([X + 25, Y + 26, 23.0])))
+    (lowered,), block = exports.with_terrain([house], terrain(height), Reconstruct(terrain_margin_m=12))
+    assert block.mesh.vertex_m[:, 2].max() == 20
+    assert lowered.mesh.vertex_m[:, 2].min() < 20 and house.mesh.vertex_m[:, 2].min() == 23
 
 
 @pytest.mark.parametrize("has_gaps", [False, True])
