@@ -350,11 +350,11 @@ def scan(
     Parameters
     ----------
     meshes : Trimesh, a sequence of them, or Scene
-        Closed, z up, metres.
+        Closed, z up, metres. A scene of a file in feet or degrees is converted, as a run would convert it.
     terrain : path, optional
         A raster of heights. By default level ground at the lowest vertex.
     crs : str or CRS, optional
-        Of the points.
+        Of the points; one in metres. By default that of the scene.
     config : path, dict or Config, optional
         Its section ``scans`` describes the scanner and the flight.
     seed : int, optional

@@ -290,6 +290,12 @@ def test_meshes_of_a_file_in_feet_are_written_in_metres(tmp_path: Path) -> None:
     written = trimesh.load(tmp_path / "town.ply")
     assert written.volume == pytest.approx(feet["a"].mesh.volume * (1200 / 3937) ** 3, rel=1e-3)
     assert json.loads((tmp_path / "town_sionna" / "scene.json").read_text())["crs"] == "EPSG:32118"
+    # and flown over in metres
+    survey, roofs = p2wss.scan(feet), feet["a"].mesh.extents * 1200 / 3937
+    assert survey.header.parse_crs().to_epsg() == 32118
+    assert np.ptp(survey.xyz[survey.classification == 6], axis=0) == pytest.approx(roofs, abs=0.5)
+    with pytest.raises(p2wss.InputError, match=r"crs: .* is not in metres"):
+        p2wss.scan(feet["a"].mesh, crs=feet.crs)
 
 
 def test_outlines_of_an_array() -> None:

@@ -205,15 +205,16 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         plants = [metric.mesh(plant) for plant in self.plants]
         return Scene(list(self), building, metric.crs, self.config, self.name, plants=plants)
 
-    def _in_metres(self) -> Scene:
-        """The scene of a file, in the CRS that a run on clouds in its CRS has: files of meshes are in metres."""
+    def in_metres(self) -> Scene:
+        """The scene of a file, in the CRS that a run on clouds in its CRS has: files of meshes and surveys are in
+        metres."""
         if self.crs is None or self.bounds is None:
             return self
         metric, _ = metric_crs(self.crs, self.bounds, self.name)
         if metric.is_source:
             return self
         log.warning(
-            "warning: %s is in %s; its meshes are written in %s, in metres",
+            "warning: %s is in %s; its meshes are taken in %s, in metres",
             self.name,
             self.crs.name,
             metric.crs.name,
@@ -341,7 +342,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             log.warning(
                 "warning: %s: without its run, it is written without %s", self.name, ", ".join(others)
             )
-        scene = self._in_metres()
+        scene = self.in_metres()
         bodies = scene._bodies(settings.skin)
         frame = frame_around(bodies, "" if scene.crs is None else scene.crs.to_string())
         materials = {"vegetation": settings.materials.vegetation}

@@ -13,7 +13,7 @@ import trimesh
 
 from p2wss.clouds.scan_files import as_las
 from p2wss.config import Scans
-from p2wss.data.crs import parsed_crs
+from p2wss.data.crs import metric_crs, parsed_crs
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.scans.scan import Place, fly, las_dimensions
 from p2wss.scans.surface import Surface, encode_face
@@ -38,6 +38,8 @@ def scan_meshes(
 ) -> laspy.LasData:
     """See :func:`p2wss.scan`."""
     if isinstance(meshes, Mapping):
+        if hasattr(meshes, "in_metres"):
+            meshes = meshes.in_metres()
         crs = crs or getattr(meshes, "crs", None)
         meshes = [getattr(each, "mesh", each) for each in meshes.values()]
     if isinstance(meshes, trimesh.Scene):
@@ -49,7 +51,6 @@ def scan_meshes(
     corner_m = [mesh.bounds for mesh in meshes if len(mesh.faces)]
     if not corner_m:
         raise InputError("no mesh to scan")
-    stated = None if crs is None else parsed_crs(crs, "crs")
     low, high = np.min(corner_m, axis=(0, 1)), np.max(corner_m, axis=(0, 1))
     bounds = (
         float(low[0]) - _MARGIN_M,
@@ -57,8 +58,18 @@ def scan_meshes(
         float(high[0]) + _MARGIN_M,
         float(high[1]) + _MARGIN_M,
     )
+    stated = None if crs is None else parsed_crs(crs, "crs")
+    metric = None if stated is None else metric_crs(stated, bounds, "meshes")[0]
+    if metric is not None and not metric.is_source:
+        raise InputError(
+            f"crs: {metric.source.name} is not in metres there, as meshes are; convert them to another"
+        )
     origin = np.floor([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    ground = _level(bounds, float(low[2])) if terrain is None else read_terrain(terrain)[0].cut(bounds)
+    if terrain is None:
+        ground = _level(bounds, float(low[2]))
+    else:
+        heights, heights_crs = read_terrain(terrain, None if stated is None else stated.to_wkt())
+        ground = (heights if metric is None else metric.terrain(heights, heights_crs, terrain)).cut(bounds)
     if not np.isfinite(ground.height_m).any():
         raise InputError(f"{terrain}: has no height around the meshes")
     grid = local_grid(ground.height_m, ground.x_min_m, ground.y_max_m, ground.cell_m, origin)
