@@ -24,6 +24,7 @@ from p2wss.storage.las_crs import (
     same_crs,
     unit_m,
     vertical_part,
+    with_heights,
 )
 from p2wss.storage.log_lines import log
 
@@ -194,7 +195,7 @@ def metric_crs(
             f"{name}: is in {source.name}, in degrees, and has no points that tell in which zone of UTM"
         )
     if flat.is_geographic and bounds is not None:
-        crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
+        crs = _with_heights_of(source, pyproj.CRS.from_epsg(_utm_code(flat, bounds, name)))
         note = f"the clouds are in {source.name}, in degrees; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, stated_m or 1.0), note
     factors = {axis.unit_conversion_factor for axis in flat.axis_info}
@@ -206,15 +207,12 @@ def metric_crs(
     (horizontal_m,) = factors
     vertical_m = horizontal_m if stated_m is None else stated_m
     if bounds is not None and (why := _unlike_the_ground(flat, bounds)):
-        crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
+        crs = _with_heights_of(source, pyproj.CRS.from_epsg(_utm_code(flat, bounds, name)))
         note = f"the clouds are in {source.name}, {why}; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, vertical_m), note
     if horizontal_m == 1.0 and vertical_m == 1.0:
         return MetricCrs(source, flat if source.is_bound else source), None
-    crs = _in_metres(flat) if horizontal_m != 1.0 else flat
-    if source.is_compound and source.sub_crs_list[1].name != UNKNOWN:
-        vertical = _in_metres(source.sub_crs_list[1])
-        crs = pyproj.crs.CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
+    crs = _with_heights_of(source, _in_metres(flat) if horizontal_m != 1.0 else flat)
     assumed = "" if stated_m is not None else " (heights assumed to be in the unit of x and y)"
     note = (
         f"the clouds are in {source.name}, with units of {horizontal_m:.10g} m, and {vertical_m:.10g} m for heights"
@@ -339,6 +337,12 @@ def _unlike_the_ground(crs: pyproj.CRS, bounds: Bounds) -> str:
     worst = 1.0 if scales is None else max(scales, key=lambda scale: abs(scale - 1.0))
     is_long = abs(worst - 1.0) > _MAX_DISTORTION
     return f"in which a metre on the ground is {worst:.4g} m long here" if is_long else ""
+
+
+def _with_heights_of(source: pyproj.CRS, plane: pyproj.CRS) -> pyproj.CRS:
+    """A plane with the vertical CRS of another, in metres, if it has a datum."""
+    heights = vertical_part(source)
+    return plane if heights is None or heights.name == UNKNOWN else with_heights(plane, _in_metres(heights))
 
 
 def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:

@@ -76,6 +76,19 @@ def test_metres_with_heights_in_feet() -> None:
     assert metric.crs.sub_crs_list[0] == NEW_YORK
 
 
+@pytest.mark.parametrize(
+    ("plane", "bounds"),
+    [("EPSG:4326", (2.34, 48.85, 2.35, 48.86)), ("EPSG:3857", (261_000, 6_250_000, 261_200, 6_250_200))],
+)
+def test_heights_keep_their_datum_in_another_plane(
+    plane: str, bounds: tuple[float, float, float, float]
+) -> None:
+    for heights, name in (("5720", "NGF-IGN69 height"), ("6360", "NAVD88 height (ftUS) (metres)")):
+        metric, _ = metric_crs(pyproj.CRS(f"{plane}+{heights}"), bounds, "a.laz")
+        assert metric.crs.name == f"WGS 84 / UTM zone 31N + {name}"
+        assert {axis.unit_name for axis in metric.crs.axis_info} == {"metre"}
+
+
 def test_feet_without_a_twin_in_metres() -> None:
     stated = NEW_YORK_FEET.to_json_dict()
     stated.pop("id")
