@@ -165,8 +165,7 @@ def evaluate(
     *,
     crs: str | None = None,
     id_field: str | None = None,
-    height_unit: str = "",
-    layer: str = "",
+    config: Config | str | Path | dict[str, Any] | None = None,
 ) -> pd.DataFrame:
     """How far the points of each building are from its mesh, with one row per footprint.
 
@@ -176,12 +175,12 @@ def evaluate(
         A scene, or a CityJSON file of any program.
     footprints, clouds
         As in :func:`reconstruct`.
-    crs, height_unit : str
+    crs : str
         Of the clouds, whatever they state.
     id_field : str, optional
         Column of the footprints with the ids of the buildings.
-    layer : str
-        Of a file of footprints, as the setting ``reconstruct.footprint_layer``: "" is the first with polygons.
+    config : path, dict or Config, optional
+        Of it, ``region.classes`` and ``height_unit``, ``footprint_layer`` and ``id_field`` of ``reconstruct`` count.
 
     Returns
     -------
@@ -193,11 +192,10 @@ def evaluate(
     InputError
         For inputs that cannot work.
     """
+    from p2wss.config import as_config
     from p2wss.eval import files
 
-    return files.evaluate(
-        buildings, footprints, clouds, crs=crs, id_field=id_field, height_unit=height_unit, layer=layer
-    )
+    return files.evaluate(buildings, footprints, clouds, as_config(config), crs=crs, id_field=id_field)
 
 
 @public

@@ -340,8 +340,8 @@ def test_wrong_roofs_and_clouds_are_one_line() -> None:
         p2wss.roof(square, 3, 3)
     with pytest.raises(p2wss.InputError, match=r"has shape \(5, 2\)"):
         p2wss.reconstruct(np.zeros((5, 2)), footprints())
-    with pytest.raises(p2wss.InputError, match="layer: state the name of a layer, not 3"):
-        p2wss.evaluate("buildings.city.json", footprints(), gable_points(), layer=3)  # type: ignore[arg-type]
+    with pytest.raises(p2wss.InputError, match="id_field: state the name of a column, not 3"):
+        p2wss.evaluate("buildings.city.json", footprints(), gable_points(), id_field=3)  # type: ignore[arg-type]
 
 
 def test_degrees_are_not_taken_for_metres() -> None:

@@ -16,7 +16,12 @@ from p2wss.storage import files
 @click.argument("file", type=PATH, metavar="FILE", help="CityJSON file or CityJSON text sequence")
 @click.argument("footprints", type=PATH, metavar="FOOTPRINTS", help="vector file with a polygon per building")
 @clouds_argument
-@option("--id-field", metavar="COLUMN", help="column of FOOTPRINTS with the ids (default: recognised)")
+@setting(
+    "reconstruct.id_field",
+    metavar="COLUMN",
+    more=False,
+    help="column of FOOTPRINTS with the ids (default: recognised)",
+)
 @setting("reconstruct.footprint_layer", "--layer", metavar="NAME")
 @crs_option
 @setting("reconstruct.height_unit")
@@ -27,7 +32,6 @@ def evaluate(
     file: Path,
     footprints: Path,
     clouds: tuple[Path, ...],
-    id_field: str | None,
     crs: str | None,
     config: Config,
     csv: Path | None,
@@ -36,20 +40,9 @@ def evaluate(
 
     Chamfer distances of mesh and roof, distance from the points to the mesh, triangles, watertightness.
     """
-    from p2wss.data.las_classes import class_set
     from p2wss.eval.files import evaluate, summary
 
-    settings = config.reconstruct
-    table = evaluate(
-        file,
-        footprints,
-        clouds,
-        id_field=id_field,
-        crs=crs,
-        height_unit=settings.height_unit,
-        layer=settings.footprint_layer,
-        classes=class_set(**config.region.classes.model_dump()),
-    )
+    table = evaluate(file, footprints, clouds, config, crs=crs)
     if csv is not None:
         files.write_text(csv, table.to_csv(float_format="%.4f", lineterminator="\n"))
     counts = ", ".join(f"{count} {status}" for status, count in table["status"].value_counts().items())

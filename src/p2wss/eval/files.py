@@ -19,9 +19,10 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
+from p2wss.config import Config
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import MetricCrs
-from p2wss.data.las_classes import BUILDING_CLASS, LAS, ClassSet
+from p2wss.data.las_classes import BUILDING_CLASS, class_set
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
 from p2wss.footprints.cleaning import read_footprints
@@ -51,12 +52,10 @@ def evaluate(
     buildings: str | Path | Scene | Sequence[ReadSolid],
     footprints: FootprintInput,
     clouds: CloudInput,
+    config: Config | None = None,
     *,
     id_field: str | None = None,
     crs: str | None = None,
-    height_unit: str = "",
-    layer: str = "",
-    classes: ClassSet = LAS,
     seed: int = 0,
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
@@ -66,8 +65,8 @@ def evaluate(
     files. A building is that of the
     footprint that it touches whose id is its name or its attribute ``id_field``, or else of the one that it overlaps
     most. id_field:
-    column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none. height_unit: of the
-    heights of clouds, whatever they state. layer: of the footprints. classes: of the clouds.
+    column of the ids of the footprints; None: that of ``config``, or recognised. crs: of clouds whose headers state
+    none. config: the classes of clouds and the unit of their heights, and the layer of the footprints.
 
     Columns: ``status`` (``ok``, ``no mesh`` or ``too few points``, then without measures); ``num_points`` up to 1 m
     from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
@@ -75,13 +74,16 @@ def evaluate(
     ``points_to_mesh_m``, the mean distance of the latter points to 40,000 samples of the mesh; ``num_triangles``;
     ``is_watertight``, whether each of its solids is. Raises :class:`InputError` for a file that is missing or broken.
     """
+    config = config or Config()
+    settings, classes = config.reconstruct, class_set(**config.region.classes.model_dump())
+    id_field = id_field or settings.id_field or None
     solids, scene_crs = _solids(buildings)
     name = str(buildings) if isinstance(buildings, str | Path) else "buildings"
     bounds = bounds_of([each.mesh for each in solids])
-    cloud, conversion = read_cloud_of(scene_crs, bounds, name, clouds, crs, height_unit, classes)
+    cloud, conversion = read_cloud_of(scene_crs, bounds, name, clouds, crs, settings.height_unit, classes)
     if conversion is not None:
         solids = [replace(each, mesh=conversion.mesh(each.mesh)) for each in solids]
-    frame = _footprints(footprints, id_field, cloud.crs, layer)
+    frame = _footprints(footprints, id_field, cloud.crs, settings.footprint_layer)
     by_id = _matched(solids, frame.geometry, id_field)
     parts = frame.geometry.explode()
     point, inside, offset = crop_points(

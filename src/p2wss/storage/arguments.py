@@ -162,8 +162,6 @@ _CHECKS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "name": (_one_of(str), "text"),
     "id_field": (_one_of(str), "the name of a column"),
     "detail": (_one_of(str), '"low", "normal" or "high"'),
-    "height_unit": (_one_of(str), "text"),
-    "layer": (_one_of(str), "the name of a layer"),
     "bbox": (_box, "four numbers: x_min, y_min, x_max, y_max"),
     "eave_height_m": (_number, "metres"),
     "threads": (_at_least(1), "a whole number, at least 1"),

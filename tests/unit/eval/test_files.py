@@ -16,6 +16,7 @@ import pytest
 import shapely
 from places import SHARED
 
+import p2wss
 from p2wss import cli
 from p2wss.eval.files import evaluate, summary
 from p2wss.formats import cityjson
@@ -137,6 +138,8 @@ def test_points_on_roofs_are_those_of_the_classes_of_the_producer(
     assert "no point on the footprints has class 6" in caplog.text
     assert cli.main(["evaluate", *files, "--csv", csv, "--config", str(config)]) == 0
     assert pd.read_csv(csv)["points_to_mesh_m"].iloc[0] == pytest.approx(0.3, abs=0.05)
+    of_python = p2wss.evaluate(*files, config=config)
+    assert of_python.to_csv(float_format="%.4f", lineterminator="\n") == Path(csv).read_text(encoding="utf-8")
 
 
 @pytest.mark.skipif(not JUDGE.is_file(), reason="no real data beside the checkout")

@@ -82,7 +82,9 @@ def test_stated_feet_override_a_cloud(city: Path, tmp_path: Path) -> None:
     cloud = cloud_in(tmp_path, PLACE, houses.FOOT_M)
     footprints = city.with_name("f.gpkg")
     expected = p2wss.evaluate(city, footprints, city.with_name("c.laz"))
-    assert_equal(p2wss.evaluate(city, footprints, cloud, height_unit="ft"), expected)
+    assert_equal(
+        p2wss.evaluate(city, footprints, cloud, config={"reconstruct": {"height_unit": "ft"}}), expected
+    )
     assert (p2wss.evaluate(city, footprints, cloud)["points_to_mesh_m"] > 100).all()
 
 
@@ -111,5 +113,6 @@ def test_clouds_of_another_crs_are_refused(city: Path, tmp_path: Path) -> None:
 def test_footprints_are_those_of_a_stated_layer(city: Path, tmp_path: Path) -> None:
     houses.footprints(PLACE).iloc[:1].to_file(tmp_path / "f.gpkg", layer="old")
     houses.footprints(PLACE).to_file(tmp_path / "f.gpkg", layer="new")
-    table = p2wss.evaluate(city, tmp_path / "f.gpkg", city.with_name("c.laz"), layer="new")
+    config = {"reconstruct": {"footprint_layer": "new"}}
+    table = p2wss.evaluate(city, tmp_path / "f.gpkg", city.with_name("c.laz"), config=config)
     assert sorted(table.index) == ["flat", "gable"] and list(table["status"]) == ["ok", "ok"]
