@@ -81,6 +81,11 @@ class BuildingDataset:
         """The angle (n,) of each edge of a building."""
         return self.angle_deg[self.vertex_offset[building] : self.vertex_offset[building + 1]]
 
+    def sample(self, count: int) -> np.ndarray:
+        """At most ``count`` buildings, evenly from first to last, so that all regions of a data set are among them."""
+        count = min(len(self), count)
+        return np.arange(count) * len(self) // count
+
     def batch(
         self, index: np.ndarray, num_points: int, seed: int | None, on_building: np.ndarray | None = None
     ) -> Batch:

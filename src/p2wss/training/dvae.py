@@ -101,9 +101,9 @@ class DvaeTask:
         chamfer = 0.0
         code_count = torch.zeros(config.num_tokens, dtype=torch.int64, device=self.device)
         size = config.optimiser.batch_size
-        total = min(len(self.validation_set), config.num_validation)
-        for first in range(0, total, size):
-            index = np.arange(first, min(first + size, total))
+        chosen = self.validation_set.sample(config.num_validation)
+        for first in range(0, len(chosen), size):
+            index = chosen[first : first + size]
             batch = centre(self.validation_set.batch(index, config.num_points, None).to(self.device))
             patches = batch_patches(batch, config)
             losses = module(patches, torch.full((), config.temperature_end, device=self.device))
@@ -115,7 +115,7 @@ class DvaeTask:
             self.check_usage()
         return {
             # Chamfer-L1 of the reconstructed patches
-            "val_chamfer_m": chamfer / total / NETWORK_SCALE,
+            "val_chamfer_m": chamfer / len(chosen) / NETWORK_SCALE,
             "val_code_usage": 1 - self.num_dead_codes / config.num_tokens,
             "val_perplexity": float(_perplexity(code_count)),
             "val_dead_codes": float(self.num_dead_codes),

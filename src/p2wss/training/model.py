@@ -142,7 +142,7 @@ class ModelTask:
 
     def validate(self, module: nn.Module) -> dict[str, float]:
         assert isinstance(module, Point2Wss)
-        index = np.arange(min(len(self.validation_set), self.config.num_validation))
+        index = self.validation_set.sample(self.config.num_validation)
         # one view is enough for the learning curve
         predictor = Point2WssPredictor(module, num_views=1)
         height, angle = prediction_errors(predictor, self.validation_set, index)
