@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ _KIND = {
     "RoofSurface": FaceKind.ROOF,
     "OuterFloorSurface": FaceKind.FLOOR,
 }
+# kind of a surface of which a file does not state one
+_UNKNOWN = 255
 # city objects that are read: buildings and plants
 _TYPES = ("Building", "SolitaryVegetationObject", "PlantCover")
 # children of a building that are inside it, and repeat its surfaces
@@ -230,7 +232,13 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         )
         is_building = building["type"] == "Building"
         solids.append(
-            ReadSolid(name, mesh, building.get("attributes", {}), is_building, np.array(parts)[1 + surface])
+            ReadSolid(
+                name,
+                _of_known_kinds(mesh),
+                building.get("attributes", {}),
+                is_building,
+                np.array(parts)[1 + surface],
+            )
         )
     return solids
 
@@ -247,7 +255,17 @@ def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[int, Any, int]]:
             for k, each in enumerate(boundaries)
         ]
     for number, rings, surface in found:
-        yield number, rings, FaceKind.WALL if surface is None else kinds[surface]
+        yield number, rings, _UNKNOWN if surface is None else kinds[surface]
+
+
+def _of_known_kinds(mesh: Mesh) -> Mesh:
+    """The mesh with surfaces of unknown kind as what they are by their slope: walls, roofs or ground."""
+    is_unknown = mesh.kind == _UNKNOWN
+    if not is_unknown.any():
+        return mesh
+    by_slope = np.where(mesh.planes.normal[:, 2] > 0, FaceKind.ROOF, FaceKind.GROUND)
+    by_slope[mesh.planes.is_wall] = FaceKind.WALL
+    return replace(mesh, kind=np.where(is_unknown, by_slope[mesh.number], mesh.kind).astype(np.uint8))
 
 
 def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:
