@@ -49,6 +49,9 @@ NOT_RECORDED = "not-recorded"
 OTHER_CLOUDS = "recorded-of-other-clouds"
 OTHER_POINTS = "recorded-of-other-points"
 
+# of buildings that no point shows
+UNSEEN = (NO_POINTS, NO_POINTS_ON_BUILDING, NO_GROUND, HEIGHT_FROM_ATTRIBUTE)
+
 # footprints that the cloud contradicts
 NO_BUILDING = "no-building"
 PARTLY_DEMOLISHED = "partly-demolished"
@@ -78,7 +81,7 @@ MEANINGS: dict[str, str] = {
     TOO_HIGH: "the eave is higher than scenes.max_eave_height_m",
     TOO_LARGE: "the footprint reaches further than 320 m from its centre, beyond the number format of crops",
     TOO_FEW_POINTS: "fewer points than crops.min_points or, of a reconstruction, reconstruct.min_num_points",
-    NO_GROUND: "the ground is unknown",
+    NO_GROUND: "the ground is unknown, also of a building whose footprint states a height (--terrain tells it)",
     NO_LABELS: "the labels of training are missing",
     HAS_COURTYARDS: "the footprint has courtyards, which a token sequence cannot represent",
     TOO_MANY_VERTICES: "the footprint has more vertices than model.max_vertices",

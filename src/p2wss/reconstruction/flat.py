@@ -20,13 +20,14 @@ def with_fallback(
 
     The roof is at the height of the points on the building, and the status keeps the reason; without such points it is
     at the height that the footprint states, if it does, with the status "height-from-attribute"; else the status says
-    that there are none.
+    that there are none, or that only the ground below a stated height is missing.
     """
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
     of_missing = [buildings[i] for i in missing]
     height = np.array([flat_height_m(building) for building in of_missing])
     # without a ground, a stated height is of no use
+    has_no_ground = [np.isnan(b.ground_z_m) and np.isfinite(b.stated_height_m) for b in of_missing]
     stated = [b.stated_height_m if np.isfinite(b.ground_z_m) else np.nan for b in of_missing]
     is_stated = np.isnan(height)
     height = np.maximum(np.where(is_stated, stated, height), config.min_eave_height_m)
@@ -36,7 +37,7 @@ def with_fallback(
             status = reasons.HEIGHT_FROM_ATTRIBUTE if is_stated[k] else result[i].status
             result[i] = replace(flat[k], status=status)
         elif is_stated[k]:
-            result[i] = replace(result[i], status=flat[k].status)
+            result[i] = replace(result[i], status=reasons.NO_GROUND if has_no_ground[k] else flat[k].status)
     return result
 
 

@@ -51,6 +51,7 @@ def test_no_points_a_flat_roof_at_the_stated_height() -> None:
         "nearest-buildings",
     ]
     bare = run(cleaned(FAR_ALONE), cloud_over(SQUARE), None, "t", Reconstruct(registration="never"))[0]
+    assert (bare.status, bare.reason) == ("none", "no-ground")
     assert [attributes(bare)[name] for name in ("ground_z_m", "ground_source", "ground_sd_m")] == [None] * 3
 
 

@@ -45,7 +45,6 @@ TO_3DBAG = {
 }
 # of 64 bits
 _MAX_WHOLE = 2**63 - 1
-_NO_POINTS = (reasons.NO_POINTS, reasons.NO_POINTS_ON_BUILDING, reasons.HEIGHT_FROM_ATTRIBUTE)
 _LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple horizontal"}
 
 
@@ -161,7 +160,7 @@ def _as_in_3dbag(ours: dict[str, Any], result: Result, clouds: Sequence[str]) ->
     if result.status == "ok":
         values["roof_type"] = _LEVEL_ROOFS_3DBAG.get(ours["roof_type"], "slanted")
     else:
-        values["roof_type"] = "no points" if result.reason in _NO_POINTS else "no planes"
+        values["roof_type"] = "no points" if result.reason in reasons.UNSEEN else "no planes"
     values["points_date"] = None if result.dates is None else result.dates[1].year
     renamed = {TO_3DBAG.get(name, name): value for name, value in values.items()}
     # a list of error codes as text; all that is written is valid

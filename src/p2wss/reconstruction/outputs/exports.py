@@ -14,7 +14,7 @@ import pyproj
 
 from p2wss.config import ERRORS_SUFFIX, OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.config.reconstruct import Output
-from p2wss.data.reasons import DUPLICATE, HAS_PARTS, HEIGHT_FROM_ATTRIBUTE, NO_POINTS
+from p2wss.data.reasons import DUPLICATE, HAS_PARTS, UNSEEN
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import grown
 from p2wss.formats import gpkg, sionna
@@ -278,7 +278,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
         not_representable += result.not_representable
         # others without points lack something else, such as a geometry
-        without_points += result.num_points == 0 and result.reason in (NO_POINTS, HEIGHT_FROM_ATTRIBUTE)
+        without_points += result.num_points == 0 and result.reason in UNSEEN
         triangles += result.reconstruction.num_triangles
     return {
         "total": len(results),
