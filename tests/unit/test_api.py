@@ -250,6 +250,10 @@ def test_buildings_are_chosen_by_ids_and_by_a_box() -> None:
     )
     assert list(p2wss.reconstruct(cloud, parts, ids=["a"], **options)) == ["a"]
     assert list(p2wss.reconstruct(cloud, parts, ids=["b"], **options)) == ["b-1", "b-2"]
+    others = parts.assign(id=["b-1", "a-1", "b"])
+    assert list(p2wss.reconstruct(cloud, others, ids=["b"], **options)) == ["b-2", "b-3"]
+    with pytest.raises(p2wss.InputError, match="has no building a"):
+        p2wss.reconstruct(cloud, others, ids=["a"], **options)
     with pytest.raises(p2wss.InputError, match="has no building nobody"):
         p2wss.reconstruct(cloud, footprints(), ids=["nobody"], **options)
     with pytest.raises(p2wss.InputError, match="is that in the CRS of the run"):

@@ -7,7 +7,7 @@ both, so that a building is the same in any batch, in any tile, and alone.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -282,19 +282,25 @@ def in_tile(features: Features, tile: str | None, tile_size_m: float) -> np.ndar
 
 
 def chosen(
-    features: Features, ids: Sequence[str] | None, bbox: Bounds | None, name: str | Path
+    features: Features,
+    whole: Collection[str],
+    ids: Sequence[str] | None,
+    bbox: Bounds | None,
+    name: str | Path,
 ) -> np.ndarray:
     """The footprints with one of these ids and the centre in ``bbox``, bool (footprints,). A part of a split footprint
     is chosen by the id of the footprint, too.
 
-    bbox: (x_min, y_min, x_max, y_max) in the CRS of the run. Raises :class:`InputError` if there are none, or if an
-    id is missing.
+    whole: ids of the footprints before they were split. bbox: (x_min, y_min, x_max, y_max) in the CRS of the run.
+    Raises :class:`InputError` if there are none, or if an id is missing.
     """
     result = np.ones(len(features), bool)
     if ids is not None:
-        whole = set(features["building_id"].tolist())
-        # that of a footprint in parts is no id of a building
-        named = [{each, *({re.sub(r"-\d+$", "", each)} - whole)} for each in features["building_id"].tolist()]
+        # a part never has the id of another footprint
+        named = [
+            {each} if each in whole else {each, re.sub(r"-\d+$", "", each)}
+            for each in features["building_id"].tolist()
+        ]
         wanted, known = set(map(str, ids)), set().union(*named)
         if missing := [each for each in map(str, ids) if each not in known]:
             raise InputError(f"{name}: has no building {missing[0]}")

@@ -534,12 +534,13 @@ def reconstruct(
         else:
             features = read_features(inputs, settings)
         log.debug("%d footprints read", len(features))
+        whole = set(features["building_id"].tolist())
         features = cleaned(features, config)
         log.debug("%d footprints cleaned", len(features))
         if inputs.lines is not None:
             features = with_lines(features, inputs.lines[0])
         is_chosen = in_tile(features, tile, config.region.tile_size_m)
-        is_chosen &= chosen(features, selection.ids, selection.bbox, inputs.footprints_name)
+        is_chosen &= chosen(features, whole, selection.ids, selection.bbox, inputs.footprints_name)
         area = Area(features, is_chosen, settings)
         folder = machine.scratch or Path(tempfile.gettempdir())
         rows, boxes, around = features.take(area.is_chosen), area.boxes, None
