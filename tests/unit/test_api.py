@@ -135,11 +135,11 @@ def test_a_copy_and_a_file_are_written_with_materials_and_plants_or_say_what_is_
     scene = p2wss.reconstruct(gable_points(), walls, model="none", progress=False, config=config)
     written = scene.write(tmp_path / "run", name="town")
     assert sorted(written) == sorted(path for path in (tmp_path / "run").rglob("*") if path.is_file())
-    scene.plants = [scene["a"].solid]
+    scene.plants = {"plant": scene["a"].solid}
     path = pickle.loads(pickle.dumps(scene)).write(tmp_path, name="copy")[-1]
     assert "written without cityjson" in caplog.text
     lines = path.read_text().splitlines()
-    assert {"usemtl brick", "usemtl tile", "o plant_1"} <= set(lines)
+    assert {"usemtl brick", "usemtl tile", "o plant"} <= set(lines)
     again = p2wss.read(tmp_path / "run" / "town.city.json")
     with pytest.raises(p2wss.InputError, match="needs a reconstruction"):
         again.write(tmp_path)

@@ -154,8 +154,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Of all coordinates; None for a file that states none.
     config : Config
     name : str
-    plants : sequence of Mesh
-        Closed volumes, of ``--vegetation``.
+    plants : mapping of Mesh
+        Closed volumes, of ``--vegetation``, by their ids.
     """
 
     def __init__(
@@ -166,11 +166,11 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         config: Config,
         name: str,
         run: Run | None = None,
-        plants: Sequence[Mesh] = (),
+        plants: Mapping[str, Mesh] | None = None,
     ) -> None:
         self._number = {each: number for number, each in enumerate(ids)}
         self._building, self._run = building, run
-        self.crs, self.config, self.name, self.plants = crs, config, name, plants
+        self.crs, self.config, self.name, self.plants = crs, config, name, plants or {}
 
     def __getitem__(self, building_id: str) -> SceneBuilding:
         return self._building(self._number[building_id])
@@ -202,7 +202,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             solid = None if each.solid is None else metric.mesh(each.solid)
             return replace(each, solid=solid, footprint=None, _polygons=())
 
-        plants = [metric.mesh(plant) for plant in self.plants]
+        plants = {name: metric.mesh(plant) for name, plant in self.plants.items()}
         return Scene(list(self), building, metric.crs, self.config, self.name, plants=plants)
 
     def in_metres(self) -> Scene:
@@ -347,8 +347,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         frame = frame_around(bodies, "" if scene.crs is None else scene.crs.to_string())
         materials = {"vegetation": settings.materials.vegetation}
         bodies += [
-            Body.of_building(f"plant_{number}", each, materials)
-            for number, each in enumerate(scene.plants, 1)
+            Body.of_building(plant_id, each, materials)
+            for plant_id, each in scene.plants.items()
             if len(each.triangle)
         ]
         return [
@@ -364,7 +364,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             return page.page_of_scenes(self.name, {f"Meshes of {self.name}": self}, None)
         inputs = self._run.inputs
         terrain = inputs.terrain and inputs.terrain[0]
-        return page.page_of_run(self._run.kept, self.name, inputs.crs, self._run.facts, self.plants, terrain)
+        return page.page_of_run(
+            self._run.kept, self.name, inputs.crs, self._run.facts, [*self.plants.values()], terrain
+        )
 
     def _repr_html_(self) -> str:
         """That page in a cell of a notebook."""
@@ -620,7 +622,7 @@ def reconstruct(
         run = Run(inputs, results, kept, plants, points, facts, failures, resources.pop_all())
 
     ids = rows["building_id"].tolist()
-    crowns = [plant.mesh for plant in plants]
+    crowns = {plant.name: plant.mesh for plant in plants}
     return Scene(ids, lambda k: _of_result(kept[k], config, facts), inputs.crs, config, stem, run, crowns)
 
 
@@ -629,11 +631,11 @@ def read(path: str | Path) -> Scene:
     path = Path(path)
     objects, crs = cityjson_read.read_city(path)
     solids = [each for each in objects if each.is_building]
-    plants = [
-        replace(each.mesh, kind=np.full_like(each.mesh.kind, VEGETATION))
+    plants = {
+        each.building_id: replace(each.mesh, kind=np.full_like(each.mesh.kind, VEGETATION))
         for each in objects
         if not each.is_building
-    ]
+    }
     name = path.stem.removesuffix(".city")
     ids = [each.building_id for each in solids]
     return Scene(ids, lambda k: _of_file(solids[k]), crs, Config(), name, plants=plants)

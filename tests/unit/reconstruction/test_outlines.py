@@ -262,8 +262,8 @@ def test_and_are_plants() -> None:
     cloud = under(scene((roof, 8.0), (crown, 9.0)), crown, 0.4)
     with p2wss.reconstruct(cloud, None, config=config, model="none", progress=False) as result:
         (house,) = result.values()
-        plants = [shapely.MultiPoint(plant.vertex_m[:, :2]).convex_hull for plant in result.plants]
-        top_z_m = [plant.vertex_m[:, 2].max() for plant in result.plants]
+        plants = [shapely.MultiPoint(plant.vertex_m[:, :2]).convex_hull for plant in result.plants.values()]
+        top_z_m = [plant.vertex_m[:, 2].max() for plant in result.plants.values()]
     assert house.footprint.intersection(placed(roof)).area >= 0.9 * roof.area
     # as high as the planar points, not as those under them
     assert top_z_m == pytest.approx([9.0] * len(plants), abs=0.2)

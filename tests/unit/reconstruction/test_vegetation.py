@@ -129,7 +129,7 @@ def test_a_chimney_beside_a_misplaced_footprint_is_no_plant() -> None:
     config = {"reconstruct": {"vegetation": True}}
     with p2wss.reconstruct(cloud, footprints, model="none", progress=False, config=config) as scene:
         assert scene.table["shift_x_m"].item() == pytest.approx(-2.4, abs=0.1)
-        places_m = np.array([plant.vertex_m[:, :2].mean(axis=0) for plant in scene.plants])
+        places_m = np.array([plant.vertex_m[:, :2].mean(axis=0) for plant in scene.plants.values()])
     assert len(places_m) and (np.hypot(*(places_m - [25, 20]).T) < 2).all()
 
 
@@ -169,7 +169,8 @@ def test_plants_are_in_the_files_that_have_a_place_for_them(tmp_path: Path) -> N
     document = json.loads((tmp_path / "again" / "town_sionna" / "scene.json").read_text())
     materials = {name: each["material"] for name, each in document["shapes"].items()}
     assert materials == {"house": "brick", "vegetation": "wood"}
-    assert (tmp_path / "again" / "town.obj").read_text().count("usemtl wood") == 2
+    text = (tmp_path / "again" / "town.obj").read_text()
+    assert text.count("usemtl wood") == 2 and all(f"o {name}\n" in text for name in trees)
     p2wss_view = ["view", str(tmp_path / "town.city.json"), "--out", str(tmp_path / "view.html")]
     assert cli.main(p2wss_view) == 0
     for page in ("town.html", "view.html"):

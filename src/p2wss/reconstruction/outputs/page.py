@@ -115,7 +115,7 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
         buildings.append(Shown(building_id, placed, point_m - origin_m, distance_m, stated))
     sentences = [f"{name}: {scene.summary}" for name, scene in scenes.items()]
     sentences += _left_out(len(by_id))
-    plants = [plant for scene in scenes.values() for plant in scene.plants]
+    plants = [plant for scene in scenes.values() for plant in scene.plants.values()]
     position_m = [
         np.array([*solid.vertex_m.mean(axis=0)[:2], solid.vertex_m[:, 2].min()])
         for members in solids
