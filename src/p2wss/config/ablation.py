@@ -28,6 +28,7 @@ _PAPER_LOSSES = {
     "loss_weights": {"cloud": 1, "sequence": 1, "modal": 1, "match": 1},
 }
 _PLAIN_NUMBERS = {"ground_relative": False, "numerical_decoding": False}
+_PAPER_TRAINING = {"dvae_start": False, "similar_lengths": False}
 _PAPER = {
     **_PAPER_MASKING,
     **_PAPER_DECODING,
@@ -35,6 +36,7 @@ _PAPER = {
     **_NO_EDGES,
     **_PAPER_LOSSES,
     **_PLAIN_NUMBERS,
+    **_PAPER_TRAINING,
 }
 
 

@@ -42,6 +42,8 @@ def test_the_variant_of_the_paper_is_its_config() -> None:
         "loss_weights",
         "match_balanced",
         "auxiliary_share",
+        "dvae_start",
+        "similar_lengths",
     ):
         assert getattr(ours, name) == getattr(paper, name), name
 
