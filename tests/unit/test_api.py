@@ -146,6 +146,15 @@ def test_a_copy_and_a_file_are_written_with_materials_and_plants_or_say_what_is_
     assert "usemtl brick" in again.write(tmp_path, ["obj"])[-1].read_text()
 
 
+def test_a_page_has_the_materials_of_columns_that_are_not_kept() -> None:
+    walls = footprints()[:1].assign(MAT_MURS="49")
+    config = {"reconstruct": {"keep_columns": ["id"]}}
+    scene = p2wss.reconstruct(gable_points(), walls, model="none", progress=False, config=config)
+    data = json.loads(scene.to_html().split('id="viewer-data">')[1].split("</script>")[0])
+    (house,) = data["buildings"]
+    assert house["inputs"] == ["id"] and house["materials"] == {"wall": "brick"}
+
+
 def test_a_scene_is_shown_as_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = p2wss.reconstruct(gable_points(), footprints()[:2], model="none", progress=False)
     opened: list[str] = []

@@ -75,7 +75,8 @@ class Place:
 @dataclass(frozen=True)
 class Shown:
     """A building on the page. meshes: by the keys of their layers. point_m: (n, 3), in the frame of the meshes.
-    distance_m: (n,), of the points to our mesh. group, title, about: where one building is shown at a time."""
+    distance_m: (n,), of the points to our mesh. group, title, about: where one building is shown at a time. materials:
+    of surfaces; None for those that the attributes state."""
 
     building_id: str
     meshes: Mapping[str, Mesh]
@@ -85,6 +86,7 @@ class Shown:
     group: str = ""
     title: str = ""
     about: str = ""
+    materials: Mapping[str, str] | None = None
 
 
 def viewer(
@@ -190,7 +192,7 @@ def _building(building: Shown) -> dict[str, Any]:
         "inputs": list(takewhile(lambda name: name != "status", building.attributes))
         if "status" in building.attributes
         else [],
-        "materials": materials_of(building.attributes),
+        "materials": materials_of(building.attributes) if building.materials is None else building.materials,
         "bounds": np.round(bounds_m, 2).tolist(),
         "place": place_m.tolist(),
         "points": _base64(np.round((point_m - place_m) * 100).astype(np.int16)),

@@ -364,8 +364,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             return page.page_of_scenes(self.name, {f"Meshes of {self.name}": self}, None)
         inputs = self._run.inputs
         terrain = inputs.terrain and inputs.terrain[0]
+        keep, plants = self.config.reconstruct.keep_columns, [*self.plants.values()]
         return page.page_of_run(
-            self._run.kept, self.name, inputs.crs, self._run.facts, [*self.plants.values()], terrain
+            self._run.results, self.name, inputs.crs, self._run.facts, keep, plants, terrain
         )
 
     def _repr_html_(self) -> str:

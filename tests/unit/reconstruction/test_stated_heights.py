@@ -11,8 +11,7 @@ from toy_clouds import LAMBERT, cleaned, cloud_over
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.data.terrain import Terrain
-from p2wss.reconstruction.outputs.attributes import attributes
-from p2wss.reconstruction.outputs.exports import with_columns
+from p2wss.reconstruction.outputs.attributes import attributes, with_columns
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.result import Result
 

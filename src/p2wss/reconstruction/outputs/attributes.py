@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date, datetime
 from typing import Any
 
@@ -46,6 +47,13 @@ TO_3DBAG = {
 # of 64 bits
 _MAX_WHOLE = 2**63 - 1
 _LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple horizontal"}
+
+
+def with_columns(result: Result, names: Sequence[str]) -> Result:
+    """The result with these columns of its footprint only; ["all"] for all."""
+    if "all" in names:
+        return result
+    return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})
 
 
 def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: str = P2WSS) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from p2wss.formats import gpkg, sionna
 from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
-from p2wss.reconstruction.outputs.attributes import input_footprints, table
+from p2wss.reconstruction.outputs.attributes import input_footprints, table, with_columns
 from p2wss.reconstruction.outputs.city import city_json
 from p2wss.reconstruction.outputs.page import page_of_run
 from p2wss.reconstruction.outputs.vegetation import Plant
@@ -75,7 +75,6 @@ def write(
     ]
     bodies = [*meshes, *vegetation] if vegetation else meshes
     frame = frame_around(meshes, crs.to_string())
-    results = kept(results, config)
     single = file_names([body.name for body in meshes]) if config.per_building else []
 
     def of_output(output: Output) -> tuple[list[str], list[Path]]:
@@ -83,7 +82,8 @@ def write(
         names, paths = [f"{stem}{OUTPUT_SUFFIXES[output]}"], [path]
         if output == "report":
             crowns = [plant.mesh for plant in plants]
-            files.write_text(path, page_of_run(results, stem, crs, facts, crowns, terrain))
+            page = page_of_run(results, stem, crs, facts, config.keep_columns, crowns, terrain)
+            files.write_text(path, page)
         elif output in MESH_WRITERS:
             paths = write_meshes(folder, stem, output, bodies, frame, config, facts)
             if single and output in SINGLE_FILES:
@@ -91,7 +91,7 @@ def write(
                 for body, file in zip(meshes, single, strict=True):
                     paths += write_meshes(folder / stem, file, output, [body], frame, config, facts)
         else:
-            _write_results(path, output, results, plants, crs, facts, config)
+            _write_results(path, output, kept(results, config), plants, crs, facts, config)
         return names, paths
 
     def unwritten(output: Output, trace: str) -> list[tuple[list[str], list[Path]]]:
@@ -303,13 +303,6 @@ def mesh(result: Result, config: Reconstruct) -> Body:
 def kept(results: Sequence[Result], config: Reconstruct) -> Sequence[Result]:
     """The results with the columns of their footprints that are kept."""
     return Lazy(lambda result: with_columns(result, config.keep_columns), results)
-
-
-def with_columns(result: Result, names: Sequence[str]) -> Result:
-    """The result with these columns of its footprint only; ["all"] for all."""
-    if "all" in names:
-        return result
-    return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})
 
 
 def surface_materials(columns: Mapping[str, Any], config: Reconstruct) -> dict[str, str]:

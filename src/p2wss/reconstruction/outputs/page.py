@@ -16,10 +16,11 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.data.points import stride
 from p2wss.formats import viewer
+from p2wss.formats.materials import materials_of
 from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruction.outputs.attributes import attributes
+from p2wss.reconstruction.outputs.attributes import attributes, with_columns
 from p2wss.reconstruction.registration.register import summary as registration_summary
 from p2wss.reconstruction.result import Result, summary
 from p2wss.skeleton.types import FaceKind
@@ -46,10 +47,12 @@ def page_of_run(
     stem: str,
     crs: pyproj.CRS,
     facts: Mapping[str, Any],
+    keep_columns: Sequence[str],
     plants: Sequence[Mesh] = (),
     terrain: Terrain | None = None,
 ) -> str:
-    """The HTML of a run. stem: of the names of its files. facts: of its provenance. plants, terrain: in the CRS."""
+    """The HTML of a run. stem: of the names of its files. facts: of its provenance. keep_columns: of the footprints, to
+    show; materials are those of all columns. plants, terrain: in the CRS."""
     worst = np.argsort([-np.nan_to_num(result.residual_m, nan=-1.0) for result in results], kind="stable")
     chosen = [results[number] for number in np.sort(worst[:MAX_BUILDINGS])]
     rest = (results[number].reconstruction for number in worst[MAX_BUILDINGS:][:MAX_OTHERS])
@@ -57,7 +60,7 @@ def page_of_run(
     position_m = [result.reconstruction.position_m for result in chosen]
     origin_m, heights = _origin_m(position_m), _heights(position_m, terrain)
     every = stride(sum(len(result.sample_m) for result in chosen), MAX_POINTS)
-    buildings = [_shown(result, origin_m, every, heights) for result in chosen]
+    buildings = [_shown(result, origin_m, every, heights, keep_columns) for result in chosen]
     sentences = [summary(results), *_left_out(len(results)), _origin(facts)]
     registrations = [result.registration for result in results if result.registration is not None]
     off = "registration: off, or footprints are outlines of the points"
@@ -233,7 +236,9 @@ def _origin_m(position_m: Sequence[np.ndarray]) -> np.ndarray:
     return np.floor(np.mean(finite, axis=0)) if finite else np.zeros(3)
 
 
-def _shown(result: Result, origin_m: np.ndarray, every: int, heights: Heights) -> Shown:
+def _shown(
+    result: Result, origin_m: np.ndarray, every: int, heights: Heights, keep_columns: Sequence[str]
+) -> Shown:
     reconstruction = result.reconstruction
     meshes = (
         {_OURS: reconstruction.placed_mesh} if reconstruction.has_mesh else _outline(reconstruction, heights)
@@ -245,5 +250,6 @@ def _shown(result: Result, origin_m: np.ndarray, every: int, heights: Heights) -
         meshes,
         sample_m[:, :3] + reconstruction.position_m - origin_m,
         sample_m[:, 3],
-        attributes(result),
+        attributes(with_columns(result, keep_columns)),
+        materials=materials_of(result.columns),
     )
