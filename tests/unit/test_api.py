@@ -125,6 +125,14 @@ def test_a_scene_can_be_copied_and_pickled(tmp_path: Path) -> None:
             each.points("a")
 
 
+def test_points_are_those_that_the_building_was_fitted_to() -> None:
+    """The fit moves walls inwards to where the roof begins."""
+    wide = footprints()[:1].set_geometry([shapely.box(0, 0, 10, 6.5)])
+    scene = p2wss.reconstruct(gable_points(), wide, model="none", progress=False)
+    assert scene["a"].footprint.area < 0.98 * 65
+    assert len(scene.points("a")) == scene["a"].attributes["num_points"]
+
+
 def test_a_copy_and_a_file_are_written_with_materials_and_plants_or_say_what_is_not(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -108,7 +108,8 @@ class SceneBuilding:
     attributes : mapping
         As in the files, see docs/manual/attributes.md.
     footprint : Polygon or None
-        As it was used, in the CRS of the scene; None if the file has none.
+        On which the mesh stands, in the CRS of the scene: moved by the registration, with walls where the fit has put
+        them. None if the file has none.
     solid : Mesh or None
         In the CRS of the scene; None without one.
     """
@@ -246,7 +247,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         )
 
     def points(self, building_id: str) -> np.ndarray:
-        """The points within ``reconstruct.buffer_m`` of a building's footprint.
+        """The points of a building: those within ``reconstruct.buffer_m`` of its footprint before the fit moved walls.
 
         Parameters
         ----------
@@ -264,8 +265,10 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         """
         if self._run is None:
             raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
-        footprint = self[building_id].footprint
-        if footprint is None:
+        number = np.array([self._number[building_id]])
+        results = [self._run.results[number[0]]]
+        (footprint,) = _as_registered(self._run.footprints[number], np.zeros(1, int), results)
+        if footprint.is_empty:
             return np.zeros((0, 3))
         cloud = self._run.points.near(np.array([grown(footprint.bounds, MARGIN_M)]))
         polygons = polygon_arrays.to_polygons(np.array([footprint], dtype=object))
@@ -482,11 +485,12 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
 @dataclass(frozen=True)
 class Run:
-    """What a scene keeps of its run. results: in a temporary file. kept: the same with the columns of footprints that
-    are kept. points: the cloud, in another file. facts: of the provenance. failures: what failed. resources: what is
-    closed with the scene."""
+    """What a scene keeps of its run. footprints: of the results, cleaned, before the registration. results: in a
+    temporary file. kept: the same with the columns of footprints that are kept. points: the cloud, in another file.
+    facts: of the provenance. failures: what failed. resources: what is closed with the scene."""
 
     inputs: Inputs
+    footprints: np.ndarray
     results: Sequence[Result]
     kept: Sequence[Result]
     plants: Sequence[vegetation.Plant]
@@ -620,7 +624,7 @@ def reconstruct(
             plants = vegetation.plants(points, around, footprints)
             log.info("%d plants", len(plants))
         kept = exports.kept(results, settings)
-        run = Run(inputs, results, kept, plants, points, facts, failures, resources.pop_all())
+        run = Run(inputs, rows.geometry, results, kept, plants, points, facts, failures, resources.pop_all())
 
     ids = rows["building_id"].tolist()
     crowns = {plant.name: plant.mesh for plant in plants}
