@@ -85,6 +85,15 @@ def test_classes_of_the_producer_stay() -> None:
         ).all()
 
 
+def test_points_of_overlapping_flights_may_be_on_roofs() -> None:
+    cloud, truth = town()
+    is_second = np.arange(len(truth)) % 2 == 0
+    given = np.where(is_second, 12, np.where(truth == 2, 2, 1)).astype(np.uint8)
+    is_roof = with_classes(replace(cloud, classification=given))[0].classification == 6
+    assert is_roof[is_second & (truth == 6)].mean() > 0.95
+    assert not (is_roof & (truth == 2)).any()
+
+
 def test_low_outliers_are_no_ground_and_do_not_hide_it() -> None:
     """One in 100 m2, 2 to 8 m below the ground, as of pulses that were reflected twice."""
     cloud, truth = town()

@@ -82,8 +82,8 @@ _WITHOUT_FOOTPRINTS = (
 def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     """The cloud with ground and building points where it has none at all of a class, and a warning for each class.
 
-    Only points that are unclassified, vegetation or of a class without a meaning in LAS get another class; those of
-    vegetation are no ground.
+    Only points that are unclassified, vegetation, of overlapping flights or of a class without a meaning in LAS get
+    another class; those of vegetation are no ground.
     """
     classes = cloud.classification
     if not len(cloud):
@@ -152,8 +152,9 @@ def warnings(num_without_ground: int, num_without_buildings: int, num_footprints
 
 
 def is_open(classes: np.ndarray) -> np.ndarray:
-    """Whether a point of each class may be ground or building."""
-    meanings = (GROUND_CLASS, BUILDING_CLASS, WATER_CLASS, *range(10, 19))
+    """Whether a point of each class may be ground or building. Where flights overlap, producers gave the points of one
+    of them class 12 (LAS 1.1 to 1.3), whatever they are on."""
+    meanings = (GROUND_CLASS, BUILDING_CLASS, WATER_CLASS, 10, 11, *range(13, 19))
     return (classes <= UNCLASSIFIED_CLASS) | ~np.isin(classes, meanings)
 
 
