@@ -94,6 +94,20 @@ def test_a_small_house_stands_as_its_points_do(angle_deg: float) -> None:
     assert corner_errors_m(outline, truth).max() <= 0.3
 
 
+@pytest.mark.parametrize("angle_deg", [0.0, 8.0, 17.0, 70.0])
+def test_the_border_of_a_cloud_gives_a_building_no_direction(angle_deg: float) -> None:
+    """It cuts a house of 14 x 40 m lengthwise, and the edge along it is the longest."""
+    house = shapely.box(-7, -20, 7, 20)
+    cloud = scene((house, 8.0), angle_deg=angle_deg)
+    is_inside = cloud.x_m <= ORIGIN[0]
+    cut = Cloud(*(column[is_inside] for column in columns(cloud)), crs=LAMBERT)
+    (outline,) = outlines(cut, Outlines(overhang_m=0))
+    east_m, north_m = ORIGIN
+    truth = shapely.clip_by_rect(placed(house, angle_deg), east_m - 40, north_m - 40, east_m, north_m + 40)
+    assert len(outline.exterior.coords) - 1 <= 5
+    assert outline.intersection(truth).area / outline.union(truth).area >= 0.96
+
+
 @pytest.mark.parametrize("is_classified", [True, False])
 def test_buildings_far_from_each_other_are_as_alone(is_classified: bool) -> None:
     near = scene((L_SHAPE, 9.0), angle_deg=20)

@@ -16,6 +16,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from p2wss.config import Outlines
+from p2wss.data.tiling import Bounds
 from p2wss.fit.directions import turn_between
 
 
@@ -29,6 +30,7 @@ class Rules:
     around its points, which a trace fills that has the directions of this rectangle. min_trace_vertices, max_turn_deg:
     an edge with as many vertices of the trace has the direction of the line through them, unless that is this far from
     its own. oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off.
+    cut_cells: edges at most this far from a side of the bounds of the cloud are where it cuts a building.
     parallel_deg: lines whose directions differ by less are parallel. spike_deg: of a corner that no removal of a short
     edge makes. reach_cells: of seams beyond the ends of their
     traces, so that they meet the outline. grid_m: of all coordinates. least_length_m: that an edge counts with.
@@ -45,6 +47,7 @@ class Rules:
     min_trace_vertices: int = 8
     max_turn_deg: float = 10.0
     oblique_share: float = 0.4
+    cut_cells: float = 1.5
     parallel_deg: float = 3.0
     spike_deg: float = 60.0
     reach_cells: int = 3
@@ -61,11 +64,13 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Points around a block. roof, ground: x and y, (n, 2). density: points on roofs per square metre."""
+    """Points around a block. roof, ground: x and y, (n, 2). density: points on roofs per square metre. bounds: of the
+    cloud; edges along them are of no wall."""
 
     roof_m: np.ndarray
     ground_m: np.ndarray
     density: float
+    bounds: Bounds
 
 
 @dataclass
@@ -87,23 +92,33 @@ class _Line:
         return np.array([np.sin(self.angle), -np.cos(self.angle)])
 
 
-def directions(trace: shapely.Polygon, roof_m: np.ndarray, cell_m: float) -> list[float]:
+def directions(trace: shapely.Polygon, points: EdgePoints, cell_m: float) -> list[float]:
     """The one or two main directions of a trace, in degrees: means of those of the lines through its edges, or that of
-    the smallest rectangle around its points (n, 2).
+    the smallest rectangle around its points on the roof. Where the border of the cloud cuts it, means with those of the
+    sides of the hull of these points, but for what is along the border, or across a corner without a wall.
 
     A direction stands for itself and its perpendicular. That of an edge is as accurate as the edge is long, and short
     edges of a trace are along the raster; points are not.
     """
-    own_m = roof_m[shapely.contains_xy(trace.buffer(cell_m), *roof_m.T)]
-    around = shapely.minimum_rotated_rectangle(shapely.MultiPoint(own_m))
-    if trace.area >= RULES.rectangle_share * around.area > 0:
-        east_m, north_m = np.diff(shapely.get_coordinates(around)[:2], axis=0)[0]
-        return [math.degrees(math.atan2(north_m, east_m))]
-    lines = [
-        line for ring in _rings(trace) for line in _lines(_simple(ring, cell_m), np.asarray(ring.coords), [])
-    ]
+    rings = [(_simple(ring, cell_m), np.asarray(ring.coords)) for ring in _rings(trace)]
+    lines = [line for xy_m, traced_m in rings for line in _lines(xy_m, traced_m, [])]
     angle_deg = np.degrees([line.angle for line in lines])
-    weight = np.array([line.length**3 for line in lines])
+    length_m = np.array([line.length for line in lines])
+    is_wall = ~np.concatenate([_is_cut(xy_m, points.bounds, cell_m) for xy_m, _ in rings])
+    own_m = shapely.MultiPoint(points.roof_m[shapely.contains_xy(trace.buffer(cell_m), *points.roof_m.T)])
+    if is_wall.all():
+        around = shapely.minimum_rotated_rectangle(own_m)
+        if trace.area >= RULES.rectangle_share * around.area > 0:
+            east_m, north_m = np.diff(shapely.get_coordinates(around)[:2], axis=0)[0]
+            return [math.degrees(math.atan2(north_m, east_m))]
+    else:
+        corner_m = shapely.get_coordinates(own_m.convex_hull)
+        side_m, middle_m = np.diff(corner_m, axis=0), (corner_m[:-1] + corner_m[1:]) / 2
+        is_near = shapely.distance(shapely.points(middle_m), trace.boundary) <= RULES.cut_cells * cell_m
+        angle_deg = np.append(angle_deg, np.degrees(np.arctan2(side_m[:, 1], side_m[:, 0])))
+        length_m = np.append(length_m, np.hypot(*side_m.T))
+        is_wall = np.append(is_wall, is_near & ~_is_cut(corner_m, points.bounds, cell_m))
+    weight = np.where(is_wall | ~is_wall.any(), length_m**3, 0.0)
     turn_deg = turn_between(angle_deg, angle_deg[:, None], 90.0)
     is_near, least = np.abs(turn_deg) <= RULES.near_deg, RULES.min_share * weight.sum()
     result: list[float] = []
@@ -128,7 +143,7 @@ def regularised(
     rings: list[shapely.Polygon] = []
     for ring in _rings(trace):
         xy_m = _simple(ring, cell_m)
-        lines = _lines(xy_m, np.asarray(ring.coords), main_deg)
+        lines = _lines(xy_m, np.asarray(ring.coords), main_deg, _is_cut(xy_m, points.bounds, cell_m))
         _reduce(lines, settings.min_edge_m)
         best = _polygon(lines, ring) or shapely.Polygon(xy_m)
         lines = _fitted(lines, points, bool(rings), settings.overhang_m)
@@ -203,8 +218,17 @@ def _simple(ring: shapely.LinearRing, cell_m: float) -> np.ndarray:
     return result if len(result) > 3 else closed
 
 
-def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) -> list[_Line]:
-    """One line per edge of the simplified trace, through the middle of its staircase, in a main direction if near."""
+def _is_cut(simple_m: np.ndarray, bounds: Bounds, cell_m: float) -> np.ndarray:
+    """Whether each edge of a simplified trace (n + 1, 2) is along the border of the cloud, bool (n,)."""
+    beside = np.abs(np.tile(simple_m, 2) - bounds) <= RULES.cut_cells * cell_m
+    return np.asarray((beside[:-1] & beside[1:]).any(axis=1))
+
+
+def _lines(
+    simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float], is_cut: np.ndarray | None = None
+) -> list[_Line]:
+    """One line per edge of the simplified trace, through the middle of its staircase, in a main direction if near; in
+    that of an axis where the border of the cloud cuts."""
     sides_m = (traced_m[:-1] + traced_m[1:]) / 2
     weight = np.hypot(*np.diff(traced_m, axis=0).T)
     vertex = _indices(simple_m, traced_m)
@@ -220,7 +244,8 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
             else np.concatenate([np.arange(first, len(sides_m)), np.arange(last)])
         )
         angle = _angle_of_points(sides_m[members], weight[members], angle)
-        turns = (float(turn_between(np.degrees(angle), main, 90.0)) for main in main_deg)
+        among_deg = [0.0] if is_cut is not None and is_cut[index] else main_deg
+        turns = (float(turn_between(np.degrees(angle), main, 90.0)) for main in among_deg)
         turn = min(turns, key=abs, default=90.0)
         is_main = bool(abs(turn) <= RULES.snap_deg)
         if is_main:

@@ -136,10 +136,11 @@ def in_tiles(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRas
         )
         log.warning(text, density, 3 * cell_m)
     is_done = np.zeros(len(cloud), bool)
+    bounds = cloud.x_m.min(), cloud.y_m.min(), cloud.x_m.max(), cloud.y_m.max()
     for tile in tiles(cloud.x_m, cloud.y_m, float(cell_m)):
         if (is_building & ~is_done & in_window(cloud.x_m, cloud.y_m, tile)).any():
             part, raster = _of_tile(cloud, tile, is_done, settings, density, float(cell_m))
-            yield part, raster, _outlines(part, raster, settings)
+            yield part, raster, _outlines(part, raster, settings, bounds)
 
 
 def _of_tile(
@@ -179,8 +180,8 @@ def _cells_of(raster: Raster, window: Bounds, num_less: int) -> tuple[slice, sli
     return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines) -> np.ndarray:
-    """The outlines of all buildings of a raster, block by block, an object array."""
+def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines, bounds: Bounds) -> np.ndarray:
+    """The outlines of all buildings of a raster, block by block, an object array. bounds: of the whole cloud."""
     traces = _block_traces(raster, settings)
     arrays = polygon_arrays.to_polygons(np.array([trace for trace, _ in traces], dtype=object))
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)
@@ -190,7 +191,7 @@ def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines) -> np.ndarr
     for index, (trace, window) in enumerate(traces):
         near = np.sort(point[offset[index] : offset[index + 1]])
         xy_m = np.column_stack([cloud.x_m[near], cloud.y_m[near]])
-        points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density)
+        points = EdgePoints(xy_m[is_building[near]], xy_m[is_free[near]], raster.density, bounds)
         result += _of_block(trace, window, points, settings)
     return np.array(result, dtype=object)
 
@@ -364,7 +365,7 @@ def _of_block(
 ) -> list[shapely.Polygon]:
     """The outlines of the buildings of a block. window: the part of the raster around it."""
     label, cell_m = window.building, window.cell_m
-    main_deg = directions(trace, points.roof_m, cell_m)
+    main_deg = directions(trace, points, cell_m)
     outline = regularised(trace, main_deg, points, settings, cell_m)
     if len(np.unique(label[label > 0])) < 2:
         return [outline]
