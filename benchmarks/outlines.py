@@ -147,7 +147,8 @@ def judged(features: Features, cloud: Cloud, place: Place, judge: Path, houses: 
     on_map = [
         row["p2m"]
         for row in rows
-        if shapes[row["id"]].area > MIN_AREA_M2
+        if "p2m" in row
+        and shapes[row["id"]].area > MIN_AREA_M2
         and shapes[row["id"]].intersection(everything).area >= 0.5 * shapes[row["id"]].area
     ]
     closed = [result for result in results if result.reconstruction.has_mesh and is_closed(result)]
