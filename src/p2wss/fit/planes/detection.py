@@ -373,20 +373,9 @@ def _largest(
                 if score <= best_score:
                     continue
                 num_trials += 1
-                rows[0], count, seen[seed], reached, score = seed, 1, num_trials, 0, 1.0
-                while reached < count:
-                    row, reached = rows[reached], reached + 1
-                    for near in neighbour[row]:
-                        if seen[near] == num_trials or label[near] >= 0:
-                            continue
-                        # near to the plane or not, once is enough
-                        seen[near] = num_trials
-                        off_m = (
-                            abs(a * point_m[near, 0] + b * point_m[near, 1] + c - point_m[near, 2]) / length
-                        )
-                        if off_m < settings.distance_m:
-                            score += 1.0 - (off_m / settings.distance_m) ** 2
-                            rows[count], count = near, count + 1
+                count, score = _connected(
+                    np.array([a, b, c]), seed, point_m, neighbour, label, rows, seen, num_trials, settings
+                )
                 if score > best_score and count >= (min_slope_points if slope else min_points):
                     best_score, best_count = score, count
                     best_rows[:count] = rows[:count]
@@ -395,9 +384,50 @@ def _largest(
                 return plane[:num_planes].copy(), label
             is_tried[seeds] = True
             continue
+        # a roof that rises a little beside the axis, or bends, goes on along the plane of its points
+        while best_count >= settings.min_points:
+            num_trials += 1
+            current = fit(point_m, best_rows, best_count, settings.noise_m)
+            count, _ = _connected(
+                current, best_rows[0], point_m, neighbour, label, rows, seen, num_trials, settings
+            )
+            if count <= best_count:
+                break
+            best_count = count
+            best_rows[:count] = rows[:count]
         label[best_rows[:best_count]] = first + num_planes
         plane[num_planes] = fit(point_m, best_rows, best_count, settings.noise_m)
         num_planes += 1
+
+
+@inner
+def _connected(
+    plane: np.ndarray,
+    seed: int,
+    point_m: np.ndarray,
+    neighbour: np.ndarray,
+    label: np.ndarray,
+    rows: np.ndarray,
+    seen: np.ndarray,
+    mark: int,
+    settings: Detection,
+) -> tuple[int, float]:
+    """(how many, score): the points of no plane near to a plane (3,) that are connected to ``seed``, in ``rows``, which
+    is the first; ``seen`` (m,) of those that were looked at becomes ``mark``."""
+    length = np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
+    rows[0], count, seen[seed], reached, score = seed, ZERO + 1, mark, 0, 1.0
+    while reached < count:
+        row, reached = rows[reached], reached + 1
+        for near in neighbour[row]:
+            if seen[near] == mark or label[near] >= 0:
+                continue
+            # near to the plane or not, once is enough
+            seen[near] = mark
+            off_m = abs(_rise(plane, point_m[near])) / length
+            if off_m < settings.distance_m:
+                score += 1.0 - (off_m / settings.distance_m) ** 2
+                rows[count], count = near, count + 1
+    return count, score
 
 
 @entry

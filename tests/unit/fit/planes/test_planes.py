@@ -935,6 +935,17 @@ def test_points_with_much_noise_show_the_planes_that_exact_ones_do(density: floa
     assert fit.mesh.vertex_m[:, 2].max() == pytest.approx(plane[0, 2], abs=0.3)
 
 
+@pytest.mark.parametrize("density", [1.0, 2.5])
+def test_slopes_that_sag_beside_the_directions_of_the_footprint_are_one_plane_each(density: float) -> None:
+    rings, _ = gable(24, 10, 4, 0.5)
+    _, plane = gable(24, 10, 4, 0.55)
+    point_m = sampled(rings, plane, 4, density)
+    along_m = point_m[:, :2] @ [np.cos(0.5), np.sin(0.5)]
+    point_m[:, 2] -= np.clip((along_m - 2) / 40, 0, None)
+    fit = fit_planes(rings, point_m, PLANES)
+    assert fit is not None and len(np.unique(fit.label)) == 2
+
+
 def test_scattered_points_show_no_plane() -> None:
     rings, _ = gable(12, 8, 4, 0.0)
     scattered_m = np.random.default_rng(3).uniform([-6, -4, 0], [6, 4, 99], (300, 3))
