@@ -62,13 +62,14 @@ def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> f
 
 def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
     """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre. along: directions of the
-    footprint, radians. Of points with more noise than usual, those of a plane may be further from it.
+    footprint, radians; without any, small planes are not sought. Of points with more noise than usual, those of a plane
+    may be further from it.
 
     Planes grow from the places where the points are most even. Of the points left by these, where smaller ones may
     have fewer than a grown one needs, as of all points where the surface around one shows nothing, the largest plane
-    that rises along a direction of the footprint is taken, again and again. Points then go to the best of the planes
-    around them and planes to their points, and two planes become one where a single plane is hardly further from the
-    points.
+    that is level, rises along a direction of the footprint, or goes through the points around one, is taken, again and
+    again. Points then go to the best of the planes around them and planes to their points, and two planes become one
+    where a single plane is hardly further from the points.
     """
     is_sparse = density < settings.sparse_per_m2
     count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
@@ -90,7 +91,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         fewest = max(min_points, settings.min_points)
         plane, label = _grown(point_m, neighbour, normal, rough_m, order, fewest, settings)
     # scattered points, which show no surface, show no small one
-    if is_sparse or (len(plane) and min_points < settings.min_points):
+    if len(along) and (is_sparse or (len(plane) and min_points < settings.min_points)):
         bearing = np.concatenate([along, np.add(along, np.pi / 2)])
         axis = np.column_stack([np.cos(bearing), np.sin(bearing)])
         near = np.ascontiguousarray(neighbour[:, : settings.num_sparse_neighbours])
@@ -327,12 +328,13 @@ def _largest(
     min_points: int,
     settings: Detection,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(further planes (k, 3), label (m,)): of the planes through a point of none that are level, or that rise along an
-    ``axis`` (a, 2) to a neighbour, the one nearest to most connected points of none, and so on with those left."""
+    """(further planes (k, 3), label (m,)): of the planes at points of none, the one nearest to most connected points of
+    none, and so on with those left."""
     num, num_near = neighbour.shape
     label, seen, first = label.copy(), np.full(num, -1), label.max() + 1
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
+    tried = np.empty((num_near * len(axis) + 2, 3))
     num_trials, min_slope_points = 0, max(min_points, settings.min_slope_points)
     # those that too few are around, and of very many points, some that showed nothing
     is_tried = np.zeros(num, np.bool_)
@@ -348,25 +350,11 @@ def _largest(
         best_score, best_count = 0.0, ZERO
         seeds = free[:: len(free) // num_seeds + 1]
         for seed in seeds:
-            for t in range(num_near * len(axis)):
-                other, along = neighbour[seed, t // len(axis)], axis[t % len(axis)]
-                slope = 0.0
-                if other != seed:
-                    x, y = point_m[other, 0] - point_m[seed, 0], point_m[other, 1] - point_m[seed, 1]
-                    run_m = along[0] * x + along[1] * y
-                    rise_m = point_m[other, 2] - point_m[seed, 2]
-                    if abs(run_m) < settings.min_run_m or abs(rise_m) > settings.max_slope * abs(run_m):
-                        continue
-                    slope = rise_m / run_m
-                elif t % len(axis) > 0:
-                    continue
-                a, b = slope * along[0], slope * along[1]
-                c, length = (
-                    point_m[seed, 2] - a * point_m[seed, 0] - b * point_m[seed, 1],
-                    np.sqrt(1 + a**2 + b**2),
-                )
+            num_tried = _planes_at(seed, point_m, neighbour[seed], label, axis, rows, tried, settings)
+            for t in range(num_tried):
+                a, b, c = tried[t]
                 # all that is near to the plane, connected or not, is rarely more than the best has
-                k, score, scale = 0, _ROUNDING, 1 / (length * settings.distance_m) ** 2
+                k, score, scale = 0, _ROUNDING, 1 / ((1 + a**2 + b**2) * settings.distance_m**2)
                 while k < len(left) and score <= best_score:
                     off_m = a * point_m[left[k], 0] + b * point_m[left[k], 1] + c - point_m[left[k], 2]
                     k, score = k + 1, score + max(1.0 - off_m * off_m * scale, 0.0)
@@ -374,9 +362,10 @@ def _largest(
                     continue
                 num_trials += 1
                 count, score = _connected(
-                    np.array([a, b, c]), seed, point_m, neighbour, label, rows, seen, num_trials, settings
+                    tried[t], seed, point_m, neighbour, label, rows, seen, num_trials, settings
                 )
-                if score > best_score and count >= (min_slope_points if slope else min_points):
+                least = min_points if a == 0 and b == 0 else min_slope_points
+                if score > best_score and count >= least:
                     best_score, best_count = score, count
                     best_rows[:count] = rows[:count]
         if best_count == 0:
@@ -398,6 +387,39 @@ def _largest(
         label[best_rows[:best_count]] = first + num_planes
         plane[num_planes] = fit(point_m, best_rows, best_count, settings.noise_m)
         num_planes += 1
+
+
+@both
+def _planes_at(
+    seed: int,
+    point_m: np.ndarray,
+    beside: np.ndarray,
+    label: np.ndarray,
+    axis: np.ndarray,
+    rows: np.ndarray,
+    plane: np.ndarray,
+    settings: Detection,
+) -> int:
+    """How many planes (3,) are now in ``plane``: through a point the level one, and those that rise along an ``axis``
+    (a, 2) to one ``beside`` it; then that of the points beside it without a plane, which may rise in any direction."""
+    plane[0, 0], plane[0, 1], plane[0, 2] = 0.0, 0.0, point_m[seed, 2]
+    num, num_free = ZERO + 1, ZERO
+    for other in beside:
+        if label[other] < 0:
+            rows[num_free], num_free = other, num_free + 1
+        x, y = point_m[other, 0] - point_m[seed, 0], point_m[other, 1] - point_m[seed, 1]
+        rise_m = point_m[other, 2] - point_m[seed, 2]
+        for along in axis:
+            run_m = along[0] * x + along[1] * y
+            if abs(run_m) >= settings.min_run_m and abs(rise_m) <= settings.max_slope * abs(run_m):
+                a, b = rise_m / run_m * along[0], rise_m / run_m * along[1]
+                plane[num, 0], plane[num, 1] = a, b
+                plane[num, 2], num = point_m[seed, 2] - a * point_m[seed, 0] - b * point_m[seed, 1], num + 1
+    if num_free >= settings.min_slope_points:
+        around = fit(point_m, rows, num_free, settings.noise_m)
+        if np.hypot(around[0], around[1]) <= settings.max_slope:
+            plane[num], num = around, num + 1
+    return num
 
 
 @inner

@@ -946,6 +946,16 @@ def test_slopes_that_sag_beside_the_directions_of_the_footprint_are_one_plane_ea
     assert fit is not None and len(np.unique(fit.label)) == 2
 
 
+@pytest.mark.parametrize("seed", [2, 6])
+def test_small_slopes_in_no_direction_of_the_footprint_are_not_cut_into_level_roofs(seed: int) -> None:
+    corner_m = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
+    bearing = 0.17 + np.arange(4) * np.pi / 2
+    pyramid = np.column_stack([np.cos(bearing) / 2, np.sin(bearing) / 2, np.full(4, 8.3)])
+    fit = fit_planes([corner_m], sampled([corner_m], pyramid, seed, 2.8), PLANES)
+    assert fit is not None and len(np.unique(fit.label)) == 4
+    assert np.hypot(*fit.plane[fit.label, :2].T).min() > 0.4
+
+
 def test_scattered_points_show_no_plane() -> None:
     rings, _ = gable(12, 8, 4, 0.0)
     scattered_m = np.random.default_rng(3).uniform([-6, -4, 0], [6, 4, 99], (300, 3))
