@@ -12,7 +12,7 @@ import numpy as np
 
 from p2wss.fit.points import every_kth, quantile
 from p2wss.fit.settings import Detection, PlanePrices
-from p2wss.skeleton.compiled import ZERO, both, entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.ordering import sorted_by
 
@@ -51,7 +51,7 @@ def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     return np.asarray(off_m / np.sqrt(1 + (plane[:, :2] ** 2).sum(axis=1)))
 
 
-@both
+@inner
 def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> float:
     """The mean distance of some of the points (m, 3) from a plane (3,); 0 of none. rows: int64 (k,)."""
     total_m = 0.0
@@ -170,7 +170,7 @@ def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -
     return bool(np.mean(across < settings.line_width**2 * along) > settings.line_share)
 
 
-@both
+@allocating
 def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
     """The plane (3,) of the points (m, 3) in the first ``num`` of ``rows``, int64 (k,), by reweighted least squares,
     which come near to least absolute residuals; a level one of two."""
@@ -389,7 +389,7 @@ def _largest(
         num_planes += 1
 
 
-@both
+@allocating
 def _planes_at(
     seed: int,
     point_m: np.ndarray,
