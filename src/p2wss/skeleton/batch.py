@@ -9,7 +9,7 @@ import numpy as np
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.mesh import label_kind_and_edge, mesh_work, solid_mesh
-from p2wss.skeleton.records import MAX_EDGES, Batch, MeshWork, SkeletonWork
+from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, Batch, MeshWork, SkeletonWork
 from p2wss.skeleton.status import OK
 from p2wss.skeleton.types import FloatArray, Meshes, Polygons, writable
 
@@ -24,6 +24,8 @@ class _Output(NamedTuple):
     triangle_kind: np.ndarray
     triangle_edge: np.ndarray
     triangle_offset: np.ndarray
+    num_caps: np.ndarray
+    num_ambiguous: np.ndarray
 
 
 @entry
@@ -41,6 +43,8 @@ def _solids(batch: Batch, skeleton: SkeletonWork, mesh: MeshWork, start: int, ou
         ):
             return p
         output.status[p] = code
+        output.num_caps[p] = counts[NUM_CAPS] if code == OK else 0
+        output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == OK else 0
         output.vertex_offset[p + 1] = num_vertices + more_vertices
         output.triangle_offset[p + 1] = num_triangles + more_triangles
         origin = batch.ring_offset[batch.polygon_offset[p]]
@@ -58,7 +62,7 @@ def _solids(batch: Batch, skeleton: SkeletonWork, mesh: MeshWork, start: int, ou
     return len(output.status)
 
 
-_PER_POLYGON = {"status", "vertex_offset", "triangle_offset"}
+_PER_POLYGON = {"status", "vertex_offset", "triangle_offset", "num_caps", "num_ambiguous"}
 
 
 def _output(num_polygons: int, num_rows: int) -> _Output:
@@ -70,6 +74,8 @@ def _output(num_polygons: int, num_rows: int) -> _Output:
         triangle_kind=np.empty(2 * num_rows, np.uint8),
         triangle_edge=np.empty(2 * num_rows, np.int32),
         triangle_offset=np.zeros(num_polygons + 1, np.int64),
+        num_caps=np.zeros(num_polygons, np.int32),
+        num_ambiguous=np.zeros(num_polygons, np.int32),
     )
 
 
@@ -164,4 +170,6 @@ def build(
         output.vertex_offset,
         output.triangle_offset,
         output.status,
+        output.num_caps,
+        output.num_ambiguous,
     )

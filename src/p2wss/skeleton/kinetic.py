@@ -31,6 +31,7 @@ from p2wss.skeleton.records import (
     EDGE,
     NODE,
     NUM_ALIVE,
+    NUM_AMBIGUOUS,
     NUM_ARCS,
     NUM_CAPS,
     NUM_COUNTS,
@@ -530,6 +531,7 @@ def _close_degenerate(work: SkeletonWork, v: int, t: float) -> int:
         to_next = (b_x - x) ** 2 + (b_y - y) ** 2 <= (a_x - x) ** 2 + (a_y - y) ** 2
     else:
         to_next = edge[vertex[v].right].speed < edge[vertex[v].left].speed
+        work.counts[NUM_AMBIGUOUS] += 1
     if to_next:
         return _merge(work, v, b, b_x, b_y, t)
     return _merge(work, a, v, a_x, a_y, t)

@@ -61,7 +61,9 @@ VERTEX = np.dtype(
 ARC = np.dtype([("start", "i8"), ("end", "i8"), ("left", "i8"), ("right", "i8")], align=True)
 
 # Indices into `counts`
-NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NUM_COUNTS = range(8)
+NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NUM_AMBIGUOUS, NUM_COUNTS = (
+    range(9)
+)
 
 
 class SkeletonWork(NamedTuple):

@@ -128,6 +128,9 @@ class Meshes:
     counter-clockwise seen from outside. kind: uint8 (num_triangles,), a :class:`FaceKind`. edge: int32
     (num_triangles,), the edge of the polygon (counted over all its rings) or -1.
     vertex_offset, triangle_offset: int64 (num_meshes + 1,). status: int32 (num_meshes,), a ``Status``.
+    num_caps: int32 (num_meshes,), horizontal pieces of the roof. num_ambiguous: int32 (num_meshes,), how often the
+    wavefront met the case that the definition leaves open, two collinear neighbours of different speeds, in which a
+    millimetre in the footprint may change the roof.
     """
 
     vertex_m: FloatArray
@@ -137,6 +140,8 @@ class Meshes:
     vertex_offset: IntArray
     triangle_offset: IntArray
     status: IntArray
+    num_caps: IntArray
+    num_ambiguous: IntArray
 
     def __len__(self) -> int:
         return len(self.status)

@@ -23,14 +23,9 @@ def one_building(seed, regime="iid"):
         cleaned = clean(Polygons.from_rings(rings))
         angle = sample_angles(cleaned, regime, k)
         meshes = build(cleaned, angle, np.array([5.0]))
-        # the clean-up makes walls parallel, and two of them that become collinear at different speeds are a tie
-        moved = cleaned.xy_m + rng.normal(0, 1e-7, cleaned.xy_m.shape)
-        other = build(Polygons(moved, cleaned.ring_offset, cleaned.polygon_offset), angle, np.array([5.0]))
-        if meshes.status[0] == other.status[0] == 0 and volumes(other) == pytest.approx(
-            volumes(meshes), rel=1e-5
-        ):
+        if meshes.status[0] == 0 and meshes.num_ambiguous[0] == 0:
             return cleaned, angle
-    raise AssertionError("no building without a tie")
+    raise AssertionError("no unambiguous building")
 
 
 def volume(polygons, angle):
