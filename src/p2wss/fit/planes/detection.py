@@ -21,6 +21,8 @@ _ROUNDING = 1e-6
 # around this share of the points there are no edges, and the surface is so rough there, in standard deviations of a
 # point
 _EVEN_SHARE, _EVEN_ROUGHNESS = 0.25, 0.62
+# mark of points that have a plane, above those of all searches
+_TAKEN = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
@@ -284,10 +286,7 @@ def _grown(
     for seed in order:
         if label[seed] >= 0 or normal[seed, 2] < 0.3:
             continue
-        count = ZERO
-        for other in neighbour[seed]:
-            if label[other] < 0:
-                rows[count], count = other, count + 1
+        count = _free(neighbour[seed], label, rows)
         if count < neighbour.shape[1] // 2:
             continue
         current = fit(point_m, rows, count, settings.noise_m)
@@ -331,18 +330,15 @@ def _largest(
     """(further planes (k, 3), label (m,)): of the planes at points of none, the one nearest to most connected points of
     none, and so on with those left."""
     num, num_near = neighbour.shape
-    label, seen, first = label.copy(), np.full(num, -1), label.max() + 1
+    label, first = label.copy(), label.max() + 1
+    seen = np.where(label < 0, -1, _TAKEN)
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
-    tried = np.empty((num_near * len(axis) + 2, 3))
     num_trials, min_slope_points = 0, max(min_points, settings.min_slope_points)
     # those that too few are around, and of very many points, some that showed nothing
     is_tried = np.zeros(num, np.bool_)
     for row in range(num):
-        num_left = 0
-        for near in neighbour[row]:
-            num_left += label[near] < 0
-        is_tried[row] = num_left < min(min_points, num_near)
+        is_tried[row] = _free(neighbour[row], label, rows) < min(min_points, num_near)
     while True:
         left = np.flatnonzero(label < 0)
         free = left[~is_tried[left]]
@@ -350,9 +346,8 @@ def _largest(
         best_score, best_count = 0.0, ZERO
         seeds = free[:: len(free) // num_seeds + 1]
         for seed in seeds:
-            num_tried = _planes_at(seed, point_m, neighbour[seed], label, axis, rows, tried, settings)
-            for t in range(num_tried):
-                a, b, c = tried[t]
+            for trial in _planes_at(seed, point_m, neighbour[seed], label, axis, settings):
+                a, b, c = trial
                 # all that is near to the plane, connected or not, is rarely more than the best has
                 k, score, scale = 0, _ROUNDING, 1 / ((1 + a**2 + b**2) * settings.distance_m**2)
                 while k < len(left) and score <= best_score:
@@ -360,10 +355,8 @@ def _largest(
                     k, score = k + 1, score + max(1.0 - off_m * off_m * scale, 0.0)
                 if score <= best_score:
                     continue
-                num_trials += 1
-                count, score = _connected(
-                    tried[t], seed, point_m, neighbour, label, rows, seen, num_trials, settings
-                )
+                rows[0], num_trials = seed, num_trials + 1
+                count, score = _connected(trial, point_m, neighbour, rows, seen, num_trials, settings)
                 least = min_points if a == 0 and b == 0 else min_slope_points
                 if score > best_score and count >= least:
                     best_score, best_count = score, count
@@ -374,19 +367,27 @@ def _largest(
             is_tried[seeds] = True
             continue
         # a roof that rises a little beside the axis, or bends, goes on along the plane of its points
+        current = fit(point_m, best_rows, best_count, settings.noise_m)
         while best_count >= settings.min_points:
-            num_trials += 1
-            current = fit(point_m, best_rows, best_count, settings.noise_m)
-            count, _ = _connected(
-                current, best_rows[0], point_m, neighbour, label, rows, seen, num_trials, settings
-            )
+            rows[0], num_trials = best_rows[0], num_trials + 1
+            count, _ = _connected(current, point_m, neighbour, rows, seen, num_trials, settings)
             if count <= best_count:
                 break
             best_count = count
             best_rows[:count] = rows[:count]
-        label[best_rows[:best_count]] = first + num_planes
-        plane[num_planes] = fit(point_m, best_rows, best_count, settings.noise_m)
-        num_planes += 1
+            current = fit(point_m, best_rows, best_count, settings.noise_m)
+        label[best_rows[:best_count]], seen[best_rows[:best_count]] = first + num_planes, _TAKEN
+        plane[num_planes], num_planes = current, num_planes + 1
+
+
+@inner
+def _free(beside: np.ndarray, label: np.ndarray, rows: np.ndarray) -> int:
+    """How many of the points ``beside`` one have no plane; they are the first of ``rows`` then."""
+    count = ZERO
+    for other in beside:
+        if label[other] < 0:
+            rows[count], count = other, count + 1
+    return count
 
 
 @allocating
@@ -396,17 +397,13 @@ def _planes_at(
     beside: np.ndarray,
     label: np.ndarray,
     axis: np.ndarray,
-    rows: np.ndarray,
-    plane: np.ndarray,
     settings: Detection,
-) -> int:
-    """How many planes (3,) are now in ``plane``: through a point the level one, and those that rise along an ``axis``
-    (a, 2) to one ``beside`` it; then that of the points beside it without a plane, which may rise in any direction."""
+) -> np.ndarray:
+    """Planes (k, 3) through a point: the level one, and those that rise along an ``axis`` (a, 2) to one ``beside`` it;
+    then that of the points beside it without a plane, which may rise in any direction."""
+    plane, num, rows = np.empty((len(beside) * len(axis) + 2, 3)), ZERO + 1, np.empty(len(beside), np.int64)
     plane[0, 0], plane[0, 1], plane[0, 2] = 0.0, 0.0, point_m[seed, 2]
-    num, num_free = ZERO + 1, ZERO
     for other in beside:
-        if label[other] < 0:
-            rows[num_free], num_free = other, num_free + 1
         x, y = point_m[other, 0] - point_m[seed, 0], point_m[other, 1] - point_m[seed, 1]
         rise_m = point_m[other, 2] - point_m[seed, 2]
         for along in axis:
@@ -415,33 +412,32 @@ def _planes_at(
                 a, b = rise_m / run_m * along[0], rise_m / run_m * along[1]
                 plane[num, 0], plane[num, 1] = a, b
                 plane[num, 2], num = point_m[seed, 2] - a * point_m[seed, 0] - b * point_m[seed, 1], num + 1
-    if num_free >= settings.min_slope_points:
-        around = fit(point_m, rows, num_free, settings.noise_m)
+    count = _free(beside, label, rows)
+    if count >= settings.min_slope_points:
+        around = fit(point_m, rows, count, settings.noise_m)
         if np.hypot(around[0], around[1]) <= settings.max_slope:
             plane[num], num = around, num + 1
-    return num
+    return plane[:num]
 
 
 @inner
 def _connected(
     plane: np.ndarray,
-    seed: int,
     point_m: np.ndarray,
     neighbour: np.ndarray,
-    label: np.ndarray,
     rows: np.ndarray,
     seen: np.ndarray,
     mark: int,
     settings: Detection,
 ) -> tuple[int, float]:
-    """(how many, score): the points of no plane near to a plane (3,) that are connected to ``seed``, in ``rows``, which
-    is the first; ``seen`` (m,) of those that were looked at becomes ``mark``."""
+    """(how many, score): the points near to a plane (3,) that are connected to the first of ``rows``, in ``rows`` then.
+    Those whose ``seen`` is ``mark`` or more are passed over; of those that were looked at, it becomes ``mark``."""
     length = np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
-    rows[0], count, seen[seed], reached, score = seed, ZERO + 1, mark, 0, 1.0
+    count, seen[rows[0]], reached, score = ZERO + 1, mark, 0, 1.0
     while reached < count:
         row, reached = rows[reached], reached + 1
         for near in neighbour[row]:
-            if seen[near] == mark or label[near] >= 0:
+            if seen[near] >= mark:
                 continue
             # near to the plane or not, once is enough
             seen[near] = mark
