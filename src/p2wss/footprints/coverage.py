@@ -28,6 +28,8 @@ _STRAIGHT_M, _NUM_ROUNDS = 5e-3, 6
 _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
 # of the angle between walls of which it is known where they meet
 _MIN_SINE = 0.2
+# a shorter wall, as of a curve, may turn by more than this, and so may one that does not lead from end to end
+_MIN_WALL_M, _MAX_TURN_DEG, _MIN_FORWARD = 1.5, 2.0, 0.85
 # a narrower overlap is rounding; a wider one is of two records of a house, those between of neighbours with a wall
 _MIN_OVERLAP_M, _MAX_OVERLAP_M = 2e-3, 0.5
 
@@ -89,25 +91,23 @@ def _clean(
     if not is_whole.all():
         return np.zeros(0, object), is_whole
     arcs = _Arcs.of_rings(rings, xy_m)
+    start_m = polygons.xy_m[previous_in_ring(polygons.ring_offset)]
+    line_m = np.stack([start_m, polygons.xy_m], axis=1)[nodes.input_end]
+    line_m -= origin[before.polygon_of_vertex][:, None]
+    ends = np.column_stack([node[previous_in_ring(nodes.ring_offset)], node])
     # simplified, walls may cross: then they keep more of their vertices
     tolerances = np.array([settings.simplify_m, 0.0, -1.0])
-    level = np.zeros(len(arcs.nodes), np.int64)
+    level = np.zeros(len(arcs.offset) - 1, np.int64)
     for _ in tolerances:
-        simple = arcs.simplified(xy_m, tolerances[level], settings)
-        rings = simple.rings(polygons.polygon_offset)
+        kept = arcs.simplified(xy_m, tolerances[level], settings.min_edge_m)
+        kept, refitted_m = arcs.refitted(kept, xy_m, arcs.lines_of_edges(ends, line_m), settings)
+        rings = arcs.rings(kept, polygons.polygon_offset)
         is_whole = rings.are_whole(xy_m)
         if is_whole.all():
             break
         level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
         return np.zeros(0, object), is_whole
-    start_m = polygons.xy_m[previous_in_ring(polygons.ring_offset)]
-    line_m = np.stack([start_m, polygons.xy_m], axis=1)[nodes.input_end]
-    line_m -= origin[before.polygon_of_vertex][:, None]
-    ends = np.sort(np.column_stack([node[previous_in_ring(nodes.ring_offset)], node]), axis=1)
-    shortest_first = np.argsort(np.hypot(*(line_m[:, 1] - line_m[:, 0]).T), kind="stable")
-    of_edge = {(a, b): k for (a, b), k in zip(ends[shortest_first].tolist(), shortest_first, strict=True)}
-    refitted_m = arcs.refitted(simple, xy_m, line_m, of_edge, settings.simplify_m)
     # nothing that happens to one block depends on the others
     crossing = np.isin(block, block[~rings.are_whole(refitted_m)])[rings.polygon_of_vertex]
     refitted_m[rings.node[crossing]] = xy_m[rings.node[crossing]]
@@ -234,10 +234,12 @@ class _Rings:
 
 @dataclass(frozen=True)
 class _Arcs:
-    """The lines between the nodes where walls meet. nodes: of each arc, first and last included. of_ring: the arcs of
-    each ring, in order, each with whether it is followed backwards."""
+    """The lines between the nodes where walls meet. node: those of one after another, first and last included; arc k
+    has ``node[offset[k]:offset[k + 1]]``. of_ring: the arcs of each ring, in order, each with whether it is followed
+    backwards."""
 
-    nodes: list[np.ndarray]
+    node: np.ndarray
+    offset: np.ndarray
     of_ring: list[list[tuple[int, bool]]]
 
     @classmethod
@@ -263,7 +265,18 @@ class _Arcs:
                 number = numbers.setdefault(arc[::-1] if is_back else arc, len(numbers))
                 members.append((number, is_back))
             of_ring.append(members)
-        return cls([np.array(arc) for arc in numbers], of_ring)
+        offset = np.concatenate([[0], np.cumsum([len(arc) for arc in numbers])]).astype(np.int64)
+        return cls(np.concatenate(list(numbers)), offset, of_ring)
+
+    @property
+    def _arc(self) -> np.ndarray:
+        """The arc of each element of ``node``, int64."""
+        return np.repeat(np.arange(len(self.offset) - 1), np.diff(self.offset))
+
+    @property
+    def _edges(self) -> np.ndarray:
+        """The elements of ``node`` from which an edge goes to the next one, int64."""
+        return np.delete(np.arange(len(self.node)), self.offset[1:] - 1)
 
     def of_polygons(self, mask: np.ndarray, polygon_offset: np.ndarray) -> list[int]:
         """The arcs of the polygons of a mask."""
@@ -272,83 +285,123 @@ class _Arcs:
         ]
         return sorted({number for r in rings for number, _ in self.of_ring[r]})
 
-    def rings(self, polygon_offset: np.ndarray) -> _Rings:
-        """The rings that the arcs form."""
+    def rings(self, kept: np.ndarray, polygon_offset: np.ndarray) -> _Rings:
+        """The rings that the arcs form, of those elements of ``node`` that are ``kept``."""
+        arcs = [self.node[a:b][kept[a:b]] for a, b in pairwise(self.offset.tolist())]
         # without the last node of each, with which the next begins
         rings = [
-            np.concatenate(
-                [self.nodes[k][:0:-1] if is_back else self.nodes[k][:-1] for k, is_back in members]
-            )
+            np.concatenate([arcs[k][:0:-1] if is_back else arcs[k][:-1] for k, is_back in members])
             for members in self.of_ring
         ]
         offset = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])]).astype(np.int64)
         return _Rings(np.concatenate(rings), offset, polygon_offset)
 
-    def simplified(self, xy_m: np.ndarray, tolerance_m: np.ndarray, settings: Scenes) -> _Arcs:
-        """The arcs without superfluous nodes; those of negative tolerance keep all."""
-        nodes = list(self.nodes)
-        long = [k for k, arc in enumerate(nodes) if len(arc) > 2 and tolerance_m[k] >= 0]
-        if not long:
-            return self
-        node = np.concatenate([nodes[k] for k in long])
-        number = np.repeat(np.arange(len(long)), [len(nodes[k]) for k in long])
-        # the third coordinate carries the position of each vertex
-        vertex = np.column_stack([xy_m[node], np.arange(len(node))])
-        lines = shapely.linestrings(vertex, indices=number)
-        simple = shapely.simplify(lines, tolerance_m[long], preserve_topology=False)
-        vertex, number = shapely.get_coordinates(simple, include_z=True, return_index=True)
-        node = node[np.rint(vertex[:, 2]).astype(np.int64)]
-        node, number = _thinned(xy_m, node, number, settings.min_edge_m)
-        for k, (first, last) in zip(
-            long, pairwise(np.searchsorted(number, np.arange(len(long) + 1)).tolist()), strict=True
-        ):
-            nodes[k] = node[first:last]
-        return _Arcs(nodes, self.of_ring)
+    def simplified(self, xy_m: np.ndarray, tolerance_m: np.ndarray, min_edge_m: float) -> np.ndarray:
+        """Whether each element of ``node`` stays where superfluous ones go, bool. Arcs of negative tolerance keep
+        all."""
+        arc = self._arc
+        kept = ((np.diff(self.offset) == 2) | (tolerance_m < 0))[arc]
+        row = np.flatnonzero(~kept)
+        if len(row):
+            _, number = np.unique(arc[row], return_inverse=True)
+            # the third coordinate carries the position of each vertex
+            vertex_m = np.column_stack([xy_m[self.node[row]], row])
+            lines = shapely.linestrings(vertex_m, indices=number)
+            simple = shapely.simplify(lines, tolerance_m[np.unique(arc[row])], preserve_topology=False)
+            row = np.rint(shapely.get_coordinates(simple, include_z=True)[:, 2]).astype(np.int64)
+            kept[row[_thinned(xy_m, self.node[row], arc[row], min_edge_m)]] = True
+        return kept
+
+    def lines_of_edges(self, ends: np.ndarray, line_m: np.ndarray) -> np.ndarray:
+        """The ends of the edge of the input at each edge of the arcs, (m, 2, 2), of the longest of several.
+        ends, line_m: (n, 2) nodes and (n, 2, 2) places of the ends of edges of the input."""
+        num, edge = self.node.max() + 1, self._edges
+        key = np.sort(ends, axis=1) @ [num, 1]
+        order = np.lexsort((_length_m(line_m), key))
+        wanted = np.sort(np.column_stack([self.node[edge], self.node[edge + 1]]), axis=1) @ [num, 1]
+        return np.asarray(line_m[order[np.searchsorted(key[order], wanted, side="right") - 1]])
 
     def refitted(
-        self,
-        simple: _Arcs,
-        xy_m: np.ndarray,
-        line_m: np.ndarray,
-        of_edge: dict[tuple[int, int], int],
-        most_m: float,
-    ) -> np.ndarray:
-        """The places of the nodes of ``simple`` arcs after they have moved, by at most ``most_m``, to where the longest
-        two walls would meet, each the longest edge of the input of those that one of ``simple`` replaces. So walls keep
-        their directions. line_m: (n, 2, 2), ends of edges of the input; of_edge: the number of that of an edge of two
-        nodes, the lower one first."""
-        length_m = np.hypot(*(line_m[:, 1] - line_m[:, 0]).T)
-        rows = []
-        for arc, kept in zip(self.nodes, simple.nodes, strict=True):
-            lines = np.array([of_edge[min(a, b), max(a, b)] for a, b in pairwise(arc.tolist())])
-            cuts = [*np.flatnonzero(np.isin(arc[:-1], kept)).tolist(), len(lines)]
-            for a, b in pairwise(cuts):
-                longest = lines[a + length_m[lines[a:b]].argmax()]
-                rows += [(arc[a], longest), (arc[b], longest)]
-        node, line = np.array(rows).T
-        order = np.lexsort((line, -length_m[line], node))
-        node, line = node[order], line[order]
-        first = np.searchsorted(node, node)
-        start_m, step = line_m[line, 0], (line_m[:, 1] - line_m[:, 0])[line]
-        turn, off = (cross(each, step) for each in (step[first], start_m - start_m[first]))
-        row = np.flatnonzero(np.abs(turn) > _MIN_SINE * length_m[line] * length_m[line[first]])
-        row = row[np.unique(node[row], return_index=True)[1]]
-        place_m = start_m[first[row]] + (off[row] / turn[row])[:, None] * step[first[row]]
-        move_m = np.hypot(*(place_m - xy_m[node[row]]).T)
-        # less is rounding
-        moves = (move_m > _WITHIN_EDGE_M) & (move_m <= most_m)
-        result = xy_m.copy()
-        result[node[row[moves]]] = place_m[moves]
-        return result
+        self, kept: np.ndarray, xy_m: np.ndarray, line_m: np.ndarray, settings: Scenes
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(which elements of ``node`` stay, the places of the nodes) after those that are ``kept`` have moved, by at
+        most ``simplify_m``, to where the longest two walls would meet, each the longest edge of the input of those in
+        whose place one is. So walls keep their directions. Where one would turn nevertheless, as beside a step between
+        parallel walls that is deeper than ``simplify_m``, the vertex farthest from the line across stays, too.
+        line_m: as of :meth:`lines_of_edges`."""
+        edge, length_m, step_m = self._edges, _length_m(line_m), line_m[:, 1] - line_m[:, 0]
+        edge_m = xy_m[self.node[edge + 1]] - xy_m[self.node[edge]]
+        max_sine, kept = np.sin(np.radians(_MAX_TURN_DEG)), kept.copy()
+        while True:
+            first = np.flatnonzero(kept[edge])
+            section = np.cumsum(kept[edge]) - 1
+            ends = self.node[[edge[first], edge[np.append(first[1:], len(edge)) - 1] + 1]]
+            places_m = _moved(xy_m, ends, line_m[_largest(length_m, first)], settings.simplify_m)
+            along = places_m[ends[1]] - places_m[ends[0]]
+            # a ring that has collapsed has walls of no length
+            along /= np.maximum(np.hypot(*along.T), _WITHIN_EDGE_M)[:, None]
+            turn_m = np.abs(cross(along[section], step_m))
+            # a spike is no wall
+            forward_m = (along[section] * edge_m).sum(axis=1)
+            is_turned = (turn_m > max_sine * length_m) & (forward_m > _MIN_FORWARD * np.hypot(*edge_m.T))
+            turned_m = np.where(is_turned, length_m, 0)
+            most = _largest(turned_m, first)
+            is_parallel = (
+                np.abs(cross(step_m[most][section], step_m)) <= max_sine * length_m * length_m[most][section]
+            )
+            wall_m = np.add.reduceat(np.where(is_parallel, turned_m, 0), first)
+            turns = (wall_m > _MIN_WALL_M) & (wall_m * turn_m[most] > settings.min_edge_m * length_m[most])
+            turns &= np.diff(np.append(first, len(edge))) > 1
+            if not turns.any():
+                return kept, places_m
+            start_m, end_m = xy_m[ends]
+            off_m = np.abs(cross((end_m - start_m)[section], xy_m[self.node[edge]] - start_m[section]))
+            off_m[first] = -1
+            kept[edge[_largest(off_m, first)[turns]]] = True
 
 
-def _thinned(
-    xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes, numbers of their arcs) without vertices that have an edge shorter than ``min_edge_m``, at which the wall
+def _length_m(line_m: np.ndarray) -> np.ndarray:
+    """The length of each line, (n,)."""
+    return np.asarray(np.hypot(*(line_m[:, 1] - line_m[:, 0]).T))
+
+
+def _largest(value: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The element with the largest value of each of the sections that begin at ``first``, int64; of several the first
+    one."""
+    section = np.zeros(len(value), np.int64)
+    section[first[1:]] = 1
+    order = np.lexsort((-value, np.cumsum(section)))
+    return np.asarray(order[first])
+
+
+def _moved(xy_m: np.ndarray, ends: np.ndarray, line_m: np.ndarray, most_m: float) -> np.ndarray:
+    """The places of the nodes after each has moved to where the longest two walls at it would meet, if that is at most
+    ``most_m`` away. ends: (2, n) nodes at the ends of walls; line_m: (n, 2, 2), the lines of those."""
+    node, line_m = ends.T.ravel(), np.repeat(line_m, 2, axis=0)
+    length_m = _length_m(line_m)
+    order = np.lexsort((-length_m, node))
+    node, line_m, length_m = node[order], line_m[order], length_m[order]
+    first = np.searchsorted(node, node)
+    start_m, step = line_m[:, 0], line_m[:, 1] - line_m[:, 0]
+    turn, off = (cross(each, step) for each in (step[first], start_m - start_m[first]))
+    row = np.flatnonzero(np.abs(turn) > _MIN_SINE * length_m * length_m[first])
+    row = row[np.unique(node[row], return_index=True)[1]]
+    place_m = start_m[first[row]] + (off[row] / turn[row])[:, None] * step[first[row]]
+    move_m = np.hypot(*(place_m - xy_m[node[row]]).T)
+    # less is rounding
+    moves = (move_m > _WITHIN_EDGE_M) & (move_m <= most_m)
+    result = xy_m.copy()
+    result[node[row[moves]]] = place_m[moves]
+    return result
+
+
+def _thinned(xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: float) -> np.ndarray:
+    """The vertices that stay, int64, where those go that have an edge shorter than ``min_edge_m``, at which the wall
     turns by less than 3 degrees, or by less than that from a full reversal, a spike, or that are within 2 cm of the
-    line between their neighbours. They go one at a time in each arc, the nearest to that line first. Its ends stay."""
+    line between their neighbours. They go one at a time in each arc, the nearest to that line first. Its ends stay.
+    node, arc: of each vertex its node and the number of its arc, in ascending order."""
     max_cosine = np.cos(np.radians(_MIN_TURN_DEG))
+    row, (_, arc) = np.arange(len(node)), np.unique(arc, return_inverse=True)
     while len(node) > 2:
         inner = np.flatnonzero((arc[1:-1] == arc[:-2]) & (arc[1:-1] == arc[2:])) + 1
         first = np.searchsorted(arc, np.arange(arc[-1] + 1))
@@ -371,8 +424,8 @@ def _thinned(
         _, least = np.unique(arc[inner][order], return_index=True)
         keep = np.ones(len(node), bool)
         keep[inner[order[least]]] = False
-        node, arc = node[keep], arc[keep]
-    return node, arc
+        row, node, arc = row[keep], node[keep], arc[keep]
+    return row
 
 
 def _contract(xy_m: np.ndarray, node: np.ndarray, ring_offset: np.ndarray, min_edge_m: float) -> np.ndarray:

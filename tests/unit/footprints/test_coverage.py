@@ -154,6 +154,34 @@ def test_walls_keep_their_directions_where_three_meet(gap_m: float) -> None:
     assert wall_m(*cleaned) == pytest.approx(7.87, abs=1e-6)
 
 
+@pytest.mark.parametrize("step_m", [0.35, 0.5])
+@pytest.mark.parametrize("turned_deg", [0.0, -3.0])
+def test_a_step_between_long_walls_does_not_turn_them(step_m: float, turned_deg: float) -> None:
+    """Both ends of the step are less than the tolerance off the line across it, which is 4 degrees off the walls."""
+    turn = np.radians(turned_deg)
+    front = np.array([[0, 0], [2.5, 0], [2.5, -step_m], [2.5 + 3 * np.cos(turn), 3 * np.sin(turn) - step_m]])
+    # no other wall has their direction
+    house = moved(shapely.Polygon([*front, (5.5, 10), (0, 8)]))
+    (cleaned,) = clean([house], Scenes(simplify_m=0.3))
+    before, along = shapely.get_coordinates(house)[:4], np.diff(shapely.get_coordinates(cleaned), axis=0)
+    for wall in (before[1] - before[0], before[3] - before[2]):
+        sine = np.abs(along @ [[0, -1], [1, 0]] @ wall) / np.hypot(*along.T) / np.hypot(*wall)
+        assert np.degrees(np.arcsin(sine.min())) < 2
+
+
+def test_a_slit_in_a_wall_is_closed_whose_sides_are_long() -> None:
+    """Its sides are walls that turn where they vanish."""
+    house = shapely.Polygon([(0, 0), (6, 0), (6.03, 2.5), (6.09, 0), (9, 0.0), (9, 7), (0, 7)])
+    (cleaned,) = clean([moved(house)], Scenes(simplify_m=0.3))
+    assert len(shapely.get_coordinates(cleaned)) == 5
+
+
+def test_a_curve_of_short_edges_has_no_more_corners_than_it_needs() -> None:
+    """Within 0.3 m of a circle of 8 m: walls may turn that are shorter than 1.5 m."""
+    (cleaned,) = clean([moved(shapely.Point(0, 0).buffer(8, quad_segs=16))], Scenes(simplify_m=0.3))
+    assert len(shapely.get_coordinates(cleaned)) - 1 <= 20
+
+
 def test_a_gap_wider_than_snap_stays() -> None:
     a, b = shapely.box(0, 0, 8, 8), shapely.box(8.15, 0, 16, 8)
     for snap_m, distance_m in ((0.1, 0.15), (0.2, 0.0)):
