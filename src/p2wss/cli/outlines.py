@@ -25,7 +25,7 @@ def outlines(clouds: tuple[Path, ...], out: Path, crs: str | None, config: Confi
         raise InputError(f"{out}: outlines are written as GeoPackage; name a file that ends in .gpkg")
     from p2wss.reconstruction.inputs import check_inputs, read_outlines
 
-    _, features = read_outlines(check_inputs(clouds, None, config, crs, model="none"), config)
+    _, features, _ = read_outlines(check_inputs(clouds, None, config, crs, model="none"), config)
     with files.atomic(out) as path, files.gdal_options():
         features.to_frame().to_file(path, driver="GPKG", layer="outlines")
     log.info("%s: %d outlines, %.0f m2", out, len(features), features["area_m2"].sum())

@@ -57,6 +57,8 @@ NO_BUILDING = "no-building"
 PARTLY_DEMOLISHED = "partly-demolished"
 EXTENDED = "extended"
 BEYOND_POINTS = "beyond-points"
+# outlines of p2wss itself
+LIKE_TREES = "like-trees"
 
 FLAGS: dict[str, str] = {
     NO_BUILDING: "the area inside the footprint is ground",
@@ -64,6 +66,8 @@ FLAGS: dict[str, str] = {
     EXTENDED: "a contiguous area beside the footprint and outside all footprints is roof: an extension, or a neighbour",
     BEYOND_POINTS: "a part of the footprint is far from all points, or most has none, as beyond the border of a cloud: "
     "a guess",
+    LIKE_TREES: "an outline of a cloud without class 6 with less than 80 % of its points within 20 cm of the roof, as "
+    "crowns of trees have",
 }
 
 MEANINGS: dict[str, str] = {

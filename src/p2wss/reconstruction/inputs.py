@@ -311,8 +311,8 @@ def read_cloud_of(
     return read_cloud(headers, points, metric, classes), None if of_scene.is_source else of_scene
 
 
-def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
-    """The whole cloud, and the outlines of its buildings as footprints."""
+def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features, bool]:
+    """(the whole cloud, the outlines of its buildings as footprints, whether class building is p2wss's own)."""
     # compiled code, which is slow to load
     from p2wss.reconstruction.points import unclassified
     from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns, with_plants
@@ -331,7 +331,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features]:
     for warning in warnings:
         log.warning("warning: %s", warning)
     shapes, crowns = outlines_and_crowns(cloud, config.reconstruct.outlines, is_classified)
-    return with_plants(cloud, crowns), outline_features(shapes, inputs.crs)
+    return with_plants(cloud, crowns), outline_features(shapes, inputs.crs), not is_classified
 
 
 def output_stem(cloud: Path) -> str:

@@ -39,8 +39,10 @@ from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
+# whether footprints are outlines of points that the producer did not classify as of buildings
+OWN_OUTLINE = "p2wss_own_outline"
 # columns that are none of the input
-_ADDED_COLUMNS = (*ADDED_COLUMNS, LINES)
+_ADDED_COLUMNS = (*ADDED_COLUMNS, LINES, OWN_OUTLINE)
 # number of buildings that a network reconstructs together, as that is faster
 _NETWORK_BATCH = 256
 # points on the roofs around a building with few: enough to show planes
@@ -144,6 +146,7 @@ class Rows:
         unknown = np.full(len(features), np.nan)
         stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
         lines = features.columns.get(LINES)
+        is_own = features.columns.get(OWN_OUTLINE, np.isfinite(unknown)).tolist()
 
         def row(i: int) -> Row:
             registration = None if registrations is None else registrations[i]
@@ -160,7 +163,9 @@ class Rows:
                 stated_height_m[i],
                 line_m=None if lines is None else lines[i] - before_m,
             )
-            return Row(int(numbers[i]), building, status[i], columns[i], registration)
+            return Row(
+                int(numbers[i]), building, status[i], columns[i], registration, is_own_outline=is_own[i]
+            )
 
         return Lazy(row, range(len(features)))
 

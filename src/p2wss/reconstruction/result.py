@@ -29,8 +29,9 @@ STATUSES = ("ok", "flat", "none")
 _MAX_RESIDUAL_POINTS = 2048
 # that are kept for the page of the run
 _MAX_SAMPLE_POINTS = 256
-# of the share of points near the mesh
-_NEAR_M = 0.2
+# of the share of points near the mesh, and its least value where an outline is of no trees: of 151 outlines of four
+# clouds without classes, 33 have less, one of which lies on a footprint of a map
+_NEAR_M, _MIN_NEAR_SHARE = 0.2, 0.8
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Row:
     """A row of the input: a footprint with its points.
 
     number: of the row in the results. status: of the footprint, "ok" or why it cannot be used. columns, registration,
-    dates, ground, failure: as in :class:`Result`.
+    dates, ground, failure: as in :class:`Result`. is_own_outline: whether the footprint is an outline of points that
+    p2wss itself took for those of buildings.
     """
 
     number: int
@@ -49,6 +51,7 @@ class Row:
     dates: tuple[date, date] | None = None
     ground: tuple[str, float] | None = None
     failure: str = ""
+    is_own_outline: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class Result:
     sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
     failure: of a building with the reason ``internal-error``, the traceback.
     num_lines: of the lines that a map knows of its roof, how many there are; None in a run without.
+    is_like_trees: fitted to an outline of points that p2wss itself took for those of buildings, of which too many are
+    far from the mesh, as those of crowns.
     """
 
     reconstruction: Reconstruction
@@ -97,6 +102,13 @@ class Result:
     sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     failure: str = ""
     num_lines: int | None = None
+    is_like_trees: bool = False
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """What contradicts the footprint, of :data:`p2wss.data.reasons.FLAGS`."""
+        of_trees = (reasons.LIKE_TREES,) if self.is_like_trees else ()
+        return of_trees if self.registration is None else self.registration.flags + of_trees
 
 
 def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> Result:
@@ -126,7 +138,8 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         if mesh is not None:
             unseen_m2 = unseen_roof_area_m2(mesh, x_m, y_m)
         overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
-    is_reliable = status == "ok" and residual_m <= config.not_representable_m and visible_share >= 0.5
+    is_like_trees = row.is_own_outline and is_fitted and share_within_20cm < _MIN_NEAR_SHARE
+    is_near = status == "ok" and residual_m <= config.not_representable_m and not is_like_trees
     return Result(
         reconstruction,
         status,
@@ -139,7 +152,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         row.registration,
         rmse_m,
         share_within_20cm,
-        is_reliable=is_reliable,
+        is_reliable=is_near and visible_share >= 0.5,
         dates=row.dates,
         ground=row.ground,
         overhang_m=overhang_m,
@@ -150,6 +163,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         ),
         failure=row.failure,
         num_lines=building.num_lines,
+        is_like_trees=is_like_trees,
     )
 
 

@@ -46,7 +46,7 @@ from p2wss.reconstruction.area import (
 from p2wss.reconstruction.inputs import Inputs, read_outlines
 from p2wss.reconstruction.outputs import exports, page, picture, vegetation
 from p2wss.reconstruction.outputs.attributes import attributes, table
-from p2wss.reconstruction.pipeline import Rows
+from p2wss.reconstruction.pipeline import OWN_OUTLINE, Rows
 from p2wss.reconstruction.points import ground, plausibility, unclassified
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.reconstruction.registration import register as registration
@@ -537,7 +537,8 @@ def reconstruct(
         terrain = None if inputs.terrain is None else inputs.terrain[0]
         outline_cloud = None
         if inputs.footprints is None:
-            outline_cloud, features = read_outlines(inputs, config)
+            outline_cloud, features, is_own = read_outlines(inputs, config)
+            features = features.having(**{OWN_OUTLINE: np.full(len(features), is_own)})
         else:
             features = read_features(inputs, settings)
         log.debug("%d footprints read", len(features))

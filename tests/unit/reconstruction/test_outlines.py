@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyproj
@@ -18,6 +19,7 @@ from p2wss.reconstruction.points import unclassified
 from p2wss.reconstruction.points.unclassified import with_classes
 from p2wss.reconstruction.tracing import outlines as tracing
 from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns
+from p2wss.storage import files
 from p2wss.storage.errors import InputError
 
 LAMBERT = pyproj.CRS.from_epsg(2154)
@@ -284,6 +286,23 @@ def test_and_are_plants() -> None:
     covered = shapely.union_all(plants)
     assert covered.intersection(placed(crown)).area >= 0.7 * crown.area
     assert not covered.intersects(placed(roof).buffer(-1))
+
+
+def test_buildings_like_crowns_are_to_be_checked(tmp_path: Path) -> None:
+    """Of crowns whose surface alone the points show, through which no pulse passes."""
+    roof, crown = shapely.box(0, 0, 10, 8), shapely.box(20, 0, 30, 10)
+    cloud, draw = scene((roof, 8.0), (crown, 9.0)), np.random.default_rng(2)
+    lumps_m = 0.8 * np.sin(3.0 * cloud.x_m) * np.sin(2.6 * cloud.y_m) + draw.normal(0, 0.1, len(cloud))
+    is_crown = shapely.contains_xy(placed(crown), cloud.x_m, cloud.y_m)
+    cloud = replace(cloud, z_m=cloud.z_m + is_crown * lumps_m)
+    without = replace(cloud, classification=np.ones(len(cloud), np.uint8))
+    # with class 6, the producer says that it is a building
+    for each, flag in ((without, "like-trees"), (cloud, None)):
+        with p2wss.reconstruct(each, None, model="none", progress=False) as result:
+            flags = [building.attributes["footprint_flags"] for building in result.values()]
+            counts = files.read_json(result.write(tmp_path, ["gpkg"])[-1], dict)["buildings"]
+        assert flags == [None, flag] and counts["status"] == {"ok": 2}
+        assert ("like-trees" in counts["doubts"]) is (flag is not None) and counts["to_check"] == ["2"]
 
 
 def test_walls_with_many_points_do_not_make_a_crown() -> None:

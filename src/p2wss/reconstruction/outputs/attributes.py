@@ -17,7 +17,6 @@ import shapely
 
 from p2wss.data import reasons
 from p2wss.reconstruction.outputs import measures
-from p2wss.reconstruction.registration.register import Registration
 from p2wss.reconstruction.result import Result
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal
@@ -101,13 +100,14 @@ def _attributes(result: Result) -> dict[str, Any]:
         "num_triangles": reconstruction.num_triangles,
         **_mesh_attributes(result),
         "overhang_m": _rounded(result.overhang_m),
-        **_registration_attributes(result.registration),
+        **_registration_attributes(result),
         "points_date": None if result.dates is None else result.dates[1].isoformat(),
         **({} if given is None else {"lines_given": given, "lines_used": reconstruction.num_lines_used}),
     }
 
 
-def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
+def _registration_attributes(result: Result) -> dict[str, Any]:
+    registration, flags = result.registration, " ".join(result.flags) or None
     names = (
         "shift_x_m",
         "shift_y_m",
@@ -118,13 +118,13 @@ def _registration_attributes(registration: Registration | None) -> dict[str, Any
         "roof_outside_m2",
     )
     if registration is None:
-        return dict.fromkeys(names)
+        return dict.fromkeys(names) | {"footprint_flags": flags}
     values = (
         _rounded(registration.shift_m[0]),
         _rounded(registration.shift_m[1]),
         _rounded(registration.shift_sd_m),
         registration.source,
-        " ".join(registration.flags) or None,
+        flags,
         _rounded(registration.ground_inside_m2),
         _rounded(registration.roof_outside_m2),
     )

@@ -264,7 +264,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     not_representable = without_points = triangles = 0
     to_check: list[tuple[bool, float, str]] = []
     for result in results:
-        why = [] if result.registration is None else [*result.registration.flags]
+        why = [*result.flags]
         if result.status != "ok" and result.reason not in (HAS_PARTS, DUPLICATE):
             why.append(str(result.reason))
         if result.not_representable:
