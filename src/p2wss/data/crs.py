@@ -19,6 +19,7 @@ from p2wss.storage.las_crs import (
     horizontal,
     in_degrees,
     in_unit,
+    is_ellipsoidal,
     is_plausible,
     meridian_deg,
     same_crs,
@@ -189,6 +190,7 @@ def metric_crs(
     """
     flat = horizontal(source)
     heights = vertical_part(source)
+    name_of = f"{source.name}, with heights above the ellipsoid" if is_ellipsoidal(source) else source.name
     stated_m = unit_m(heights) if vertical_m is None and heights is not None else vertical_m
     if flat.is_geographic and bounds is None:
         raise InputError(
@@ -196,7 +198,7 @@ def metric_crs(
         )
     if flat.is_geographic and bounds is not None:
         crs = _with_heights_of(source, pyproj.CRS.from_epsg(_utm_code(flat, bounds, name)))
-        note = f"the clouds are in {source.name}, in degrees; processing and outputs are in {crs.name}"
+        note = f"the clouds are in {name_of}, in degrees; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, stated_m or 1.0), note
     factors = {axis.unit_conversion_factor for axis in flat.axis_info}
     if not flat.is_projected or len(factors) != 1:
@@ -208,14 +210,14 @@ def metric_crs(
     vertical_m = horizontal_m if stated_m is None else stated_m
     if bounds is not None and (why := _unlike_the_ground(flat, bounds)):
         crs = _with_heights_of(source, pyproj.CRS.from_epsg(_utm_code(flat, bounds, name)))
-        note = f"the clouds are in {source.name}, {why}; processing and outputs are in {crs.name}"
+        note = f"the clouds are in {name_of}, {why}; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, vertical_m), note
     if horizontal_m == 1.0 and vertical_m == 1.0:
         return MetricCrs(source, flat if source.is_bound else source), None
     crs = _with_heights_of(source, _in_metres(flat) if horizontal_m != 1.0 else flat)
     assumed = "" if stated_m is not None else " (heights assumed to be in the unit of x and y)"
     note = (
-        f"the clouds are in {source.name}, with units of {horizontal_m:.10g} m, and {vertical_m:.10g} m for heights"
+        f"the clouds are in {name_of}, with units of {horizontal_m:.10g} m, and {vertical_m:.10g} m for heights"
         f"{assumed}; processing and outputs are in metres, in {crs.name}"
     )
     return MetricCrs(source, crs, horizontal_m, vertical_m), note
@@ -340,8 +342,11 @@ def _unlike_the_ground(crs: pyproj.CRS, bounds: Bounds) -> str:
 
 
 def _with_heights_of(source: pyproj.CRS, plane: pyproj.CRS) -> pyproj.CRS:
-    """A plane with the vertical CRS of another, in metres, if it has a datum."""
+    """A plane with the heights of another, in metres: above the same datum, or above the ellipsoid if both planes have
+    the same; without heights if no more than their unit is known."""
     heights = vertical_part(source)
+    if is_ellipsoidal(source) and source.ellipsoid.semi_major_metre == plane.ellipsoid.semi_major_metre:
+        return plane.to_3d()
     return plane if heights is None or heights.name == UNKNOWN else with_heights(plane, _in_metres(heights))
 
 

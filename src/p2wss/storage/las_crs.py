@@ -101,7 +101,12 @@ def vertical_part(crs: pyproj.CRS) -> pyproj.CRS | None:
         return crs.sub_crs_list[1]
     if crs.is_vertical:
         return crs
-    return _in_unit(crs.axis_info[2].unit_conversion_factor) if len(crs.axis_info) == 3 else None
+    return _in_unit(crs.axis_info[2].unit_conversion_factor) if is_ellipsoidal(crs) else None
+
+
+def is_ellipsoidal(crs: pyproj.CRS) -> bool:
+    """Whether heights are above an ellipsoid: the third axis of a CRS that is none of two."""
+    return len(crs.axis_info) == 3 and not crs.is_compound
 
 
 def unit_m(crs: pyproj.CRS) -> float:
@@ -111,7 +116,7 @@ def unit_m(crs: pyproj.CRS) -> float:
 
 def with_heights(crs: pyproj.CRS, heights: pyproj.CRS) -> pyproj.CRS:
     """The compound of a plane and of heights; as it is if it has heights, or if theirs only have a unit, metres."""
-    if crs.is_compound or len(crs.axis_info) == 3 or (heights.name == UNKNOWN and unit_m(heights) == 1.0):
+    if crs.is_compound or is_ellipsoidal(crs) or (heights.name == UNKNOWN and unit_m(heights) == 1.0):
         return crs
     return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 

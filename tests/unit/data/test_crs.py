@@ -89,6 +89,14 @@ def test_heights_keep_their_datum_in_another_plane(
         assert {axis.unit_name for axis in metric.crs.axis_info} == {"metre"}
 
 
+def test_heights_above_the_ellipsoid_stay_so_in_another_plane() -> None:
+    # the last one's ellipsoid is another than that of UTM
+    for code, num_axes in ((4979, 3), (6319, 3), (9267, 2)):
+        metric, note = metric_crs(pyproj.CRS.from_epsg(code), (14.34, 48.85, 14.35, 48.86), "a.laz")
+        assert "with heights above the ellipsoid" in str(note)
+        assert metric.crs.name == "WGS 84 / UTM zone 33N" and len(metric.crs.axis_info) == num_axes
+
+
 def test_feet_without_a_twin_in_metres() -> None:
     stated = NEW_YORK_FEET.to_json_dict()
     stated.pop("id")

@@ -276,6 +276,8 @@ def test_slopes_have_the_names_of_3dbag_too() -> None:
         ("EPSG:5698", 5698),
         # there is no such pair
         ("EPSG:2154+5709", 2154),
+        # nor one of heights above the ellipsoid
+        (pyproj.CRS("EPSG:32631").to_3d().to_wkt(), 32631),
         ("+proj=tmerc +lat_0=1 +ellps=GRS80", None),
     ],
 )

@@ -77,13 +77,13 @@ def _metadata(days: Sequence[str], crs: pyproj.CRS, facts: Mapping[str, Any], na
 
 def epsg_of(crs: pyproj.CRS) -> int | None:
     """The EPSG code of a CRS; of a horizontal and a vertical one that of the two together, if there is one, else the
-    horizontal one's. None if that has none.
+    horizontal one's, as of one with heights above the ellipsoid. None if that has none.
 
     >>> epsg_of(pyproj.CRS("EPSG:28992+5709")), epsg_of(pyproj.CRS("EPSG:2154+5720")), epsg_of(pyproj.CRS("EPSG:2154"))
     (7415, 5698, 2154)
     """
     code = crs.to_epsg()
-    if code is not None or not crs.is_compound:
+    if code is not None:
         return code
     parts = [part.to_epsg() for part in crs.sub_crs_list]
     names = " + ".join(pyproj.CRS(part).name for part in parts if part is not None)
