@@ -57,6 +57,7 @@ NO_BUILDING = "no-building"
 PARTLY_DEMOLISHED = "partly-demolished"
 EXTENDED = "extended"
 BEYOND_POINTS = "beyond-points"
+RAISED_GROUND = "raised-ground"
 # outlines of p2wss itself
 LIKE_TREES = "like-trees"
 
@@ -66,6 +67,8 @@ FLAGS: dict[str, str] = {
     EXTENDED: "a contiguous area beside the footprint and outside all footprints is roof: an extension, or a neighbour",
     BEYOND_POINTS: "a part of the footprint is far from all points, or most has none, as beyond the border of a cloud: "
     "a guess",
+    RAISED_GROUND: "what p2wss takes for ground, in a cloud without classes, ends in walls of 3 m or more around the "
+    "footprint, as a podium or a roof wider than 60 m does: the building may begin below it",
     LIKE_TREES: "an outline of a cloud without class 6 with less than 80 % of its points within 20 cm of the roof, as "
     "crowns of trees have",
 }

@@ -13,18 +13,21 @@ import shapely
 from shapely import affinity
 from toy_clouds import LAMBERT
 
+from p2wss.clouds.crops import ground_height
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.reconstruction.outputs.attributes import input_footprints
 from p2wss.reconstruction.outputs.attributes import table as reconstruct_table
 from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.points.unclassified import with_classes
 from p2wss.reconstruction.registration import register as registration
 from p2wss.reconstruction.registration.blocks import find_blocks
 from p2wss.reconstruction.registration.footprint_flags import contradictions
 from p2wss.reconstruction.registration.register import (
     EDGES,
     NOTHING,
+    OWN_BUILDINGS,
     OWN_CLASSES,
     Registration,
     Shifts,
@@ -481,6 +484,20 @@ def test_footprints_of_which_most_has_no_point_are_flagged_unless_points_are_few
     )
     shapes = polygon_arrays.to_polygons(np.array([affinity.translate(BLOCK[0], *ORIGIN)], object))
     assert contradictions(shapes, seen).flags == [flags]
+
+
+def test_buildings_whose_ground_is_a_podium_are_flagged() -> None:
+    """The ground of a cloud without classes is a podium that is wider than the filter of the ground, under a tower."""
+    podium, tower, house = shapely.box(0, 0, 70, 70), shapely.box(30, 30, 42, 42), shapely.box(-22, 0, -12, 9)
+    xy_m = np.random.default_rng(5).uniform(-40, 110, (50_000, 2))
+    z_m = 100 + 0.05 * xy_m[:, 0]
+    for shape, height_m in ((podium, 6.0), (tower, 30.0), (house, 6.0)):
+        z_m[shapely.contains_xy(shape, *xy_m.T)] = 100 + height_m
+    cloud = Cloud(*(xy_m + ORIGIN).T, z_m, np.ones(len(z_m), np.uint8), LAMBERT)
+    cloud, features = with_classes(cloud)[0], Features.of(frame_of([tower, house]))
+    assert ground_height(cloud, polygon_arrays.to_polygons(features.geometry))[0][0] > 105
+    for registers, flags in ((OWN_CLASSES, ("raised-ground",)), (OWN_BUILDINGS, ())):
+        assert [row.flags for row in register(features, cloud, np.full(2, registers))[1]] == [flags, ()]
 
 
 def test_a_footprint_far_larger_than_the_cloud_takes_the_work_of_the_points(

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 
 from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.crops import LOWEST_RINGS_M, ground_height
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
@@ -30,6 +31,11 @@ class Rules:
     the footprint as ``min_far_share``. min_ground_share, max_roof_share: of the cells with points, where there is no
     building. min_unseen_share: of its area without a point in the cells, where the others have ``min_in_cell`` on
     average, as there are so many in sparse clouds.
+
+    min_wall_m, level_m, min_length_m: a cell of ground, of half of ``beyond_m``, has a wall if one beside it is so much
+    lower. If so many metres of walls, where the lowest points around a footprint are searched, are as high as the
+    ground there, up to so far apart, that is no ground. On a podium in Toronto there are 200 m at least, in twelve
+    other places less than 60 m.
     """
 
     beyond_m: float = 6.0
@@ -41,6 +47,9 @@ class Rules:
     min_far_share: float = 0.1
     min_unseen_share: float = 0.5
     min_in_cell: float = 3.0
+    min_wall_m: float = 3.0
+    level_m: float = 1.5
+    min_length_m: float = 100.0
 
 
 RULES = Rules()
@@ -103,6 +112,26 @@ def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
     return Evidence(ground_inside_m2, roof_outside_m2, flags)
 
 
+def on_raised_ground(polygons: Polygons, cloud: Cloud) -> np.ndarray:
+    """Whether the ground around each footprint ends in walls, as a podium does, bool (n,)."""
+    is_ground = cloud.classification == GROUND_CLASS
+    size_m = RULES.beyond_m / 2
+    x_m, y_m, z_m = (column[is_ground] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
+    cells = _Cells(x_m / size_m, y_m / size_m, cloud.classification[is_ground])
+    least_z = np.full(len(cells.x_m), np.inf)
+    np.minimum.at(least_z, cells.of_point, z_m)
+    edge = np.flatnonzero(
+        least_z - np.append(least_z, np.inf)[cells.neighbour].min(axis=0) >= RULES.min_wall_m
+    )
+    near, _, offset = crop_points(
+        size_m * cells.x_m[edge], size_m * cells.y_m[edge], polygons, LOWEST_RINGS_M[1]
+    )
+    footprint = np.repeat(np.arange(len(polygons)), np.diff(offset))
+    apart_m = least_z[edge[near]] - ground_height(cloud, polygons)[0][footprint]
+    num_level = np.bincount(footprint[np.abs(apart_m) <= RULES.level_m], minlength=len(polygons))
+    return np.asarray(size_m * num_level >= RULES.min_length_m)
+
+
 def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
     """The area (n,) of polygons (n,) that is far from all points."""
     size_m = RULES.beyond_m / 2
@@ -150,8 +179,9 @@ def _of_nearest(
 
 
 class _Cells:
-    """The cells of 1 m that have points, at whole metres. x_m, y_m: their centres. num_points: in each. is_ground,
-    is_roof: masks. area_m2: of each with its share of those around it that have none."""
+    """The cells of 1 m that have points, at whole metres. of_point: of each, their numbers. x_m, y_m: their centres.
+    num_points: in each. is_ground, is_roof: masks. area_m2: of each with its share of those around it that have none.
+    neighbour: (9, cells), those around each; the number of all cells for one without points."""
 
     def __init__(self, x_m: np.ndarray, y_m: np.ndarray, classification: np.ndarray) -> None:
         column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
@@ -159,26 +189,26 @@ class _Cells:
         # a column more on either side, so that no cell has a neighbour in another row
         self._left, self._width = first - 1, last - first + 3
         key = row * self._width + column - self._left
-        self._key, of_point = numbered(key)
+        self._key, self.of_point = numbered(key)
         count = len(self._key)
-        self.num_points = np.bincount(of_point, minlength=count)
-        num_ground = np.bincount(of_point[classification == GROUND_CLASS], minlength=count)
-        num_roof = np.bincount(of_point[classification == BUILDING_CLASS], minlength=count)
+        self.num_points = np.bincount(self.of_point, minlength=count)
+        num_ground = np.bincount(self.of_point[classification == GROUND_CLASS], minlength=count)
+        num_roof = np.bincount(self.of_point[classification == BUILDING_CLASS], minlength=count)
         self.is_roof = (num_roof > 0) & (num_roof >= num_ground)
         self.is_ground = (num_ground > 0) & (num_roof == 0)
         self.x_m = self._key % self._width + self._left + 0.5
         self.y_m = self._key // self._width + 0.5
         steps = [row * self._width + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
-        self._neighbour = np.full((9, count), count)
+        self.neighbour = np.full((9, count), count)
         for k, step in enumerate(steps):
             place = np.minimum(np.searchsorted(self._key, self._key + step), count - 1)
             exists = self._key[place] == self._key + step
-            self._neighbour[k, exists] = place[exists]
+            self.neighbour[k, exists] = place[exists]
         self.area_m2 = 9 / self.around(np.ones(count, bool))
 
     def around(self, mask: np.ndarray) -> np.ndarray:
         """How many of the nine cells around each are in the mask."""
-        return np.append(mask, False)[self._neighbour].sum(axis=0)
+        return np.append(mask, False)[self.neighbour].sum(axis=0)
 
     def spread(self, mask: np.ndarray) -> np.ndarray:
         """The cells around which one of nine is in the mask."""

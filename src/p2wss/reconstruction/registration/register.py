@@ -21,7 +21,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays, reasons
 from p2wss.reconstruction.registration.blocks import Blocks, connected, find_blocks
-from p2wss.reconstruction.registration.footprint_flags import contradictions
+from p2wss.reconstruction.registration.footprint_flags import contradictions, on_raised_ground
 from p2wss.reconstruction.registration.shifts import (
     DATA_M,
     EXPECTED,
@@ -57,7 +57,11 @@ EDGES, AROUND, NOTHING = "edges", "around", "none"
 # whether a footprint may be moved, and by which evidence: int8; p2wss itself classified all points, or all but ground
 STAYS, OWN_CLASSES, OWN_BUILDINGS, CLASSES = range(4)
 # the least evidence of flags: without the producer's classes, what is ground and roof is known from the footprints
-_FLAGGED = {reasons.BEYOND_POINTS: OWN_CLASSES, reasons.NO_BUILDING: OWN_BUILDINGS}
+_FLAGGED = {
+    reasons.BEYOND_POINTS: OWN_CLASSES,
+    reasons.RAISED_GROUND: OWN_CLASSES,
+    reasons.NO_BUILDING: OWN_BUILDINGS,
+}
 
 
 def like_roofs(
@@ -170,6 +174,10 @@ def register(
     moved_polygons = replace(polygons, xy_m=polygons.xy_m + shifts.shift_m[of_vertex])
     geometries = polygon_arrays.to_geometries(moved_polygons)
     evidence = contradictions(moved_polygons, cloud)
+    own = np.flatnonzero(registers == OWN_CLASSES)
+    if len(own):
+        for k in own[on_raised_ground(polygon_arrays.take(moved_polygons, own), cloud)].tolist():
+            evidence.flags[k] += (reasons.RAISED_GROUND,)
     rows = []
     for k, block in enumerate(blocks.of_footprint.tolist()):
         if block < 0:
