@@ -70,18 +70,19 @@ def eval_reconstruct(
     method: str, manifest: Path, shards: tuple[Path, ...], out: Path, config: Config, **options: Any
 ) -> None:
     """Reconstruct the test split and the real LiDAR by one method."""
-    set_num_threads(options["threads"])
     from p2wss.config import roofer_command
     from p2wss.data.manifest import read_manifest
     from p2wss.eval import cases, methods
     from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
-    from p2wss.nets.predictor import load_predictor
-    from p2wss.nets.weights import read_weights
 
     listed = read_manifest(manifest, shards or None)
     inputs, crs = methods.Inputs(config), listed.crs()
     facts: dict[str, Any] = {"method": method, "status": "ok"}
-    if options["model"] is not None:
+    if options["model"] is not None:  # torch, which takes seconds to import, is for these methods alone
+        set_num_threads(options["threads"])
+        from p2wss.nets.predictor import load_predictor
+        from p2wss.nets.weights import read_weights
+
         inputs = inputs._replace(predictor=load_predictor(options["model"], options["device"]))
         of_weights = read_weights(options["model"], "model")[1]
         facts["model"] = {name: of_weights[name] for name in ("version", "code", "config", "dvae_config")}
