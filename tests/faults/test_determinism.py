@@ -38,8 +38,15 @@ VARIANTS: dict[str, tuple[list[str], dict[str, str]]] = {
 }
 
 
-def p2wss(arguments: Sequence[str | Path], environment: dict[str, str], folder: Path = ROOT) -> None:
-    """The command; that numpy does not know the name of an instruction set is an error."""
+def p2wss(arguments: Sequence[str | Path], environment: dict[str, str] | None, folder: Path = ROOT) -> None:
+    """The command; that numpy does not know the name of an instruction set is an error.
+
+    Without an environment it is run here, where its libraries are imported.
+    """
+    if environment is None:
+        with chdir(folder):
+            assert main(list(map(str, arguments))) == 0
+        return
     program = "from p2wss.cli import main; raise SystemExit(main())"
     run = subprocess.run(
         [sys.executable, "-W", "error::ImportWarning", "-c", program, *map(str, arguments)],
@@ -79,17 +86,16 @@ def test_delft_is_the_same_to_the_byte(tmp_path: Path) -> None:
 def fetched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Footprints, terrain and LiDAR of the miniature."""
     folder = tmp_path_factory.mktemp("fetched")
-    with chdir(ROOT):
-        for words in (
-            ["footprints", "--out", folder / "footprints.gpkg"],
-            ["dtm", "--tile", TILE, "--out", folder / "dtm.tif"],
-            ["lidar", "--tile", LIDAR_TILE, "--out", folder / "lidar.laz"],
-        ):
-            assert main(["fetch", *map(str, words), "--downloads", str(folder / "downloads"), *CONFIG]) == 0
+    for words in (
+        ["footprints", "--out", folder / "footprints.gpkg"],
+        ["dtm", "--tile", TILE, "--out", folder / "dtm.tif"],
+        ["lidar", "--tile", LIDAR_TILE, "--out", folder / "lidar.laz"],
+    ):
+        p2wss(["fetch", *words, "--downloads", folder / "downloads", *CONFIG], None)
     return folder
 
 
-def stages(fetched: Path, out: Path, environment: dict[str, str]) -> dict[str, bytes]:
+def stages(fetched: Path, out: Path, environment: dict[str, str] | None) -> dict[str, bytes]:
     """A scene, its buildings, a scan, and a reconstruction of other LiDAR, by name."""
     out.mkdir()
     scene, terrain, buildings, scan = (
@@ -110,7 +116,7 @@ def stages(fetched: Path, out: Path, environment: dict[str, str]) -> dict[str, b
 
 @pytest.fixture(scope="module")
 def first(fetched: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    results = stages(fetched, tmp_path_factory.mktemp("stages") / "first", {})
+    results = stages(fetched, tmp_path_factory.mktemp("stages") / "first", None)
     assert len(results) == 11
     return results
 

@@ -1,15 +1,21 @@
 """A copy of the project in a temporary folder, in which Snakemake runs and whose code can be edited."""
 
+import atexit
+import functools
 import importlib
 import multiprocessing
 import os
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+
+import forked
 
 ROOT = Path(__file__).parents[2]
 PARTS = ["Snakefile", "workflow", "profiles", "config", "envs", "models", "src", "tests/mini"]
@@ -17,11 +23,39 @@ PARTS = ["Snakefile", "workflow", "profiles", "config", "envs", "models", "src",
 # a folder that a shell would take apart, and whose command it would run
 ODD_NAME = 'the town\'s "données" $(touch executed) `touch executed`; touch executed &'
 
-# Processes that start with these libraries imported and without p2wss, which each takes from its own project
+# Processes that start with these libraries imported and without p2wss, which each takes from its own project. The
+# libraries read the settings once, when they are loaded; p2wss makes the same
+os.environ |= {"OMP_WAIT_POLICY": "PASSIVE", "OPENBLAS_NUM_THREADS": "1"}
 _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload(
-    ["geopandas", "laspy", "numba", "pyarrow.parquet", "rasterio", "scipy.spatial", "snakemake.cli", "torch"]
+    [
+        *("geopandas", "laspy", "matplotlib.pyplot", "numba", "pandas", "pyarrow.parquet", "rasterio"),
+        *("scipy.optimize", "scipy.spatial", "scipy.stats", "snakemake.cli", "torch", "torch._dynamo"),
+    ]
 )
+
+
+@functools.cache
+def _forking_program() -> Path:
+    """A folder with a program ``p2wss``, each run of which is a fork of one process with these libraries."""
+    folder = Path(tempfile.mkdtemp())
+    server = _PROCESSES.Process(target=forked.serve, args=(str(folder / "socket"),))
+    server.start()
+
+    def end() -> None:
+        server.terminate()
+        server.join()
+        shutil.rmtree(folder)
+
+    atexit.register(end)
+    program = folder / "p2wss"
+    command = [sys.executable, "-IS", forked.__file__, str(folder / "socket")]
+    program.write_text(f'#!/bin/sh\nexec {shlex.join(command)} "$@"\n')
+    program.chmod(0o755)
+    while not (folder / "socket").exists():
+        assert server.is_alive()
+        time.sleep(0.01)
+    return folder
 
 
 class Project:
@@ -38,12 +72,17 @@ class Project:
             else:
                 shutil.copy(source, target)
 
-    def snakemake(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-        """The command ``snakemake``, for runs that do something."""
-        command = ["snakemake", *arguments]
-        run = subprocess.run(
-            command, cwd=self.folder, env=self._environment(), capture_output=True, text=True
-        )
+    def snakemake(
+        self, *arguments: str, check: bool = True, forks: bool = True
+    ) -> subprocess.CompletedProcess[str]:
+        """The command ``snakemake``, for runs that do something.
+
+        With ``forks``, their jobs start without the seconds that the libraries of p2wss take to be imported.
+        """
+        command, environment = ["snakemake", *arguments], self._environment()
+        if forks:
+            environment["PATH"] = f"{_forking_program()}{os.pathsep}{environment['PATH']}"
+        run = subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True)
         return _checked(run, check)
 
     def dry_run(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
@@ -69,7 +108,6 @@ class Project:
         return os.environ | {
             "PYTHONPATH": str(self.folder / "src"),
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-            "OMP_WAIT_POLICY": "PASSIVE",
         }
 
     def _main(

@@ -138,7 +138,7 @@ def test_a_disk_that_fills_up_leaves_the_old_file(done, tmp_path):
         [
             Path(sys.executable).with_name("p2wss"), "scans", "--scene", results / f"scenes/{TILE}.parquet",
             "--dtm", results / f"scenes/{TILE}.tif", "--buildings", results / f"buildings/{TILE}.parquet",
-            "--out", out, "--out-survey", tmp_path / "s.json",
+            "--out", out, "--out-survey", tmp_path / "s.json", "--config", "{scans: {density_per_m2: 5.0}}",
         ],
         env=os.environ | {"PYTHONPATH": str(done.folder / "src")},
         preexec_fn=limit, capture_output=True, text=True,

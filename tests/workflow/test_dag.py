@@ -73,11 +73,12 @@ def test_trained_weights_are_used_as_they_are_and_the_town_of_the_config_is_draw
     assert (jobs["draw_town"], jobs["cut_scene"], jobs["eval_reconstruct"]) == (1, 2, 6)
 
 
-def test_shards_are_evaluated_in_groups(project):
+def test_shards_are_evaluated_in_groups(fresh):
     """Four shards: by default in one group, or three and one."""
-    jobs = rules_to_run(project.snakemake("-n", "eval_report"))
+    in_threes = ["eval_report", "--config", "eval={shards_per_job: 3}"]
+    by_default, dry_run = fresh.dry_runs([["eval_report"], in_threes])
+    jobs = rules_to_run(by_default)
     assert [jobs[rule] for rule in ("eval_reconstruct", "measure")] == [6, 1]
-    dry_run = project.snakemake("-n", "eval_report", "--config", "eval={shards_per_job: 3}")
     jobs = rules_to_run(dry_run)
     assert [jobs[rule] for rule in ("eval_reconstruct", "measure")] == [12, 2]
     groups = [parsed(words) for words in commands_of(dry_run) if words[:4] == NETWORK]

@@ -38,8 +38,8 @@ def test_the_reduced_miniature_to_its_report(slurm, tmp_path):
     run = project.snakemake(
         *("eval_report", "--profile", "profiles/slurm", "--configfile", "tests/mini/reduced.yaml", *SITE),
         # instead of those of the profile, which ask for GPUs
-        "--set-resources",
-        "crop_real:mem_mb=250 * 8 ** (attempt - 1)",
+        *("--set-resources", "crop_real:mem_mb=250 * 8 ** (attempt - 1)"),
+        forks=False,  # the jobs are on nodes, where their memory is limited
     )
     seconds = time.monotonic() - start
     log = run.stdout + run.stderr
