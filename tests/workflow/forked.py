@@ -26,15 +26,20 @@ def run(path: str, words: list[str]) -> int:
 
 
 def serve(path: str) -> None:
-    """Run what each connection asks for, until this process is ended."""
+    """Run what each connection asks for, until this process is ended or the one that started it is gone."""
     import signal
 
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(path)
     listener.listen()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for the forks
-    while True:
-        connection, _ = listener.accept()
+    listener.settimeout(2)
+    parent = os.getppid()
+    while os.getppid() == parent:
+        try:
+            connection, _ = listener.accept()
+        except TimeoutError:
+            continue
         if not os.fork():
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             listener.close()
