@@ -29,7 +29,7 @@ _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
 # of the angle between walls of which it is known where they meet
 _MIN_SINE = 0.2
 # a shorter wall, as of a curve, may turn by more than this, and so may one that does not lead from end to end
-_MIN_WALL_M, _MAX_TURN_DEG, _MIN_FORWARD = 1.5, 2.0, 0.85
+_MIN_WALL_M, _MAX_TURN_DEG, _MIN_FORWARD = 1.5, 1.0, 0.85
 # a narrower overlap is rounding; a wider one is of two records of a house, those between of neighbours with a wall
 _MIN_OVERLAP_M, _MAX_OVERLAP_M = 2e-3, 0.5
 

@@ -166,7 +166,7 @@ def test_a_step_between_long_walls_does_not_turn_them(step_m: float, turned_deg:
     before, along = shapely.get_coordinates(house)[:4], np.diff(shapely.get_coordinates(cleaned), axis=0)
     for wall in (before[1] - before[0], before[3] - before[2]):
         sine = np.abs(along @ [[0, -1], [1, 0]] @ wall) / np.hypot(*along.T) / np.hypot(*wall)
-        assert np.degrees(np.arcsin(sine.min())) < 2
+        assert np.degrees(np.arcsin(sine.min())) < 1
 
 
 def test_a_slit_in_a_wall_is_closed_whose_sides_are_long() -> None:
