@@ -94,13 +94,13 @@ def _clean(
     start_m = polygons.xy_m[previous_in_ring(polygons.ring_offset)]
     line_m = np.stack([start_m, polygons.xy_m], axis=1)[nodes.input_end]
     line_m -= origin[before.polygon_of_vertex][:, None]
-    ends = np.column_stack([node[previous_in_ring(nodes.ring_offset)], node])
+    line_m = arcs.lines_of_edges(np.column_stack([node[previous_in_ring(nodes.ring_offset)], node]), line_m)
     # simplified, walls may cross: then they keep more of their vertices
     tolerances = np.array([settings.simplify_m, 0.0, -1.0])
     level = np.zeros(len(arcs.offset) - 1, np.int64)
     for _ in tolerances:
         kept = arcs.simplified(xy_m, tolerances[level], settings.min_edge_m)
-        kept, refitted_m = arcs.refitted(kept, xy_m, arcs.lines_of_edges(ends, line_m), settings)
+        kept, refitted_m = arcs.refitted(kept, xy_m, line_m, settings)
         rings = arcs.rings(kept, polygons.polygon_offset)
         is_whole = rings.are_whole(xy_m)
         if is_whole.all():
