@@ -16,7 +16,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-live test-slurm test-wheel docs lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-unit test-geometry test-others test-workflow test-slow test-faults test-live test-slurm test-wheel docs lint audit format config mini lock clean
 install: $(INSTALLED)
 	$(BIN)/p2wss warm-up --all
 
@@ -38,14 +38,21 @@ eval_report: install
 dry-run: $(INSTALLED)
 	snakemake eval_report --dry-run --quiet rules
 
-# two at a time: most of the unit tests use one core, and what they need is compiled beside lint
+# two at a time, as most of the tests use one core; what they need is compiled beside lint
 test: $(INSTALLED)
-	$(MAKE) --jobs=2 --output-sync=target lint test-unit test-workflow
+	$(MAKE) --jobs=2 --output-sync=target lint test-geometry test-workflow test-others
 
 test-unit: install
 	pytest --durations=15 tests/unit
 
-# the longer half, as it alone can use both cores once the other is done
+GEOMETRY := $(addprefix tests/unit/,fit footprints mesh reconstruction skeleton)
+
+test-geometry: install
+	pytest --durations=15 $(GEOMETRY)
+
+test-others: install
+	pytest --durations=15 tests/unit $(GEOMETRY:%=--ignore=%)
+
 test-workflow: install
 	pytest --durations=15 tests/faults tests/workflow
 
