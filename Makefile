@@ -16,7 +16,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-unit test-geometry test-network test-others test-workflow test-slow test-faults test-live test-slurm test-wheel docs lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-geometry test-network test-others test-workflow test-slow test-faults test-live test-slurm test-wheel docs lint audit format config mini lock clean
 install: $(INSTALLED)
 	$(BIN)/p2wss warm-up --all
 
@@ -41,9 +41,6 @@ dry-run: $(INSTALLED)
 # two at a time, as most of the tests use one core; what they need is compiled beside lint
 test: $(INSTALLED)
 	$(MAKE) --jobs=2 --output-sync=target lint test-geometry test-workflow test-network test-others
-
-test-unit: install
-	pytest --durations=15 tests/unit
 
 GEOMETRY := $(addprefix tests/unit/,fit footprints mesh reconstruction skeleton)
 NETWORK := $(addprefix tests/unit/,crops eval nets scans scenes towns training)

@@ -303,11 +303,11 @@ class _Arcs:
         kept = ((np.diff(self.offset) == 2) | (tolerance_m < 0))[arc]
         row = np.flatnonzero(~kept)
         if len(row):
-            _, number = np.unique(arc[row], return_inverse=True)
+            which, number = np.unique(arc[row], return_inverse=True)
             # the third coordinate carries the position of each vertex
             vertex_m = np.column_stack([xy_m[self.node[row]], row])
             lines = shapely.linestrings(vertex_m, indices=number)
-            simple = shapely.simplify(lines, tolerance_m[np.unique(arc[row])], preserve_topology=False)
+            simple = shapely.simplify(lines, tolerance_m[which], preserve_topology=False)
             row = np.rint(shapely.get_coordinates(simple, include_z=True)[:, 2]).astype(np.int64)
             kept[row[_thinned(xy_m, self.node[row], arc[row], min_edge_m)]] = True
         return kept
@@ -334,9 +334,9 @@ class _Arcs:
         max_sine, kept = np.sin(np.radians(_MAX_TURN_DEG)), kept.copy()
         while True:
             first = np.flatnonzero(kept[edge])
-            section = np.cumsum(kept[edge]) - 1
-            ends = self.node[[edge[first], edge[np.append(first[1:], len(edge)) - 1] + 1]]
-            places_m = _moved(xy_m, ends, line_m[_largest(length_m, first)], settings.simplify_m)
+            last, section = np.append(first[1:], len(edge)) - 1, np.cumsum(kept[edge]) - 1
+            ends = self.node[[edge[first], edge[last] + 1]]
+            places_m = _moved(xy_m, ends, line_m[_largest(length_m, section)], settings.simplify_m)
             along = places_m[ends[1]] - places_m[ends[0]]
             # a ring that has collapsed has walls of no length
             along /= np.maximum(np.hypot(*along.T), _WITHIN_EDGE_M)[:, None]
@@ -345,19 +345,19 @@ class _Arcs:
             forward_m = (along[section] * edge_m).sum(axis=1)
             is_turned = (turn_m > max_sine * length_m) & (forward_m > _MIN_FORWARD * np.hypot(*edge_m.T))
             turned_m = np.where(is_turned, length_m, 0)
-            most = _largest(turned_m, first)
+            most = _largest(turned_m, section)
             is_parallel = (
                 np.abs(cross(step_m[most][section], step_m)) <= max_sine * length_m * length_m[most][section]
             )
             wall_m = np.add.reduceat(np.where(is_parallel, turned_m, 0), first)
             turns = (wall_m > _MIN_WALL_M) & (wall_m * turn_m[most] > settings.min_edge_m * length_m[most])
-            turns &= np.diff(np.append(first, len(edge))) > 1
+            turns &= first < last
             if not turns.any():
                 return kept, places_m
             start_m, end_m = xy_m[ends]
             off_m = np.abs(cross((end_m - start_m)[section], xy_m[self.node[edge]] - start_m[section]))
             off_m[first] = -1
-            kept[edge[_largest(off_m, first)[turns]]] = True
+            kept[edge[_largest(off_m, section)[turns]]] = True
 
 
 def _length_m(line_m: np.ndarray) -> np.ndarray:
@@ -365,13 +365,11 @@ def _length_m(line_m: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(*(line_m[:, 1] - line_m[:, 0]).T))
 
 
-def _largest(value: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """The element with the largest value of each of the sections that begin at ``first``, int64; of several the first
-    one."""
-    section = np.zeros(len(value), np.int64)
-    section[first[1:]] = 1
-    order = np.lexsort((-value, np.cumsum(section)))
-    return np.asarray(order[first])
+def _largest(value: np.ndarray, section: np.ndarray) -> np.ndarray:
+    """The element with the largest value of each section, int64; of several the first one. section: the number of that
+    of each element, in ascending order and without gaps."""
+    order = np.lexsort((-value, section))
+    return order[np.unique(section, return_index=True)[1]]
 
 
 def _moved(xy_m: np.ndarray, ends: np.ndarray, line_m: np.ndarray, most_m: float) -> np.ndarray:

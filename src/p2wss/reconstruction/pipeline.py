@@ -146,7 +146,7 @@ class Rows:
         unknown = np.full(len(features), np.nan)
         stated_height_m = features.columns.get("stated_height_m", unknown).tolist()
         lines = features.columns.get(LINES)
-        is_own = features.columns.get(OWN_OUTLINE, np.isfinite(unknown)).tolist()
+        is_own = features.columns.get(OWN_OUTLINE, np.zeros(len(features), bool)).tolist()
 
         def row(i: int) -> Row:
             registration = None if registrations is None else registrations[i]

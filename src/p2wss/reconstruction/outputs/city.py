@@ -87,7 +87,7 @@ def epsg_of(crs: pyproj.CRS) -> int | None:
         return code
     parts = [part.to_epsg() for part in crs.sub_crs_list]
     names = " + ".join(pyproj.CRS(part).name for part in parts if part is not None)
-    for info in query_crs_info("EPSG", PJType.COMPOUND_CRS) if None not in parts else []:
+    for info in query_crs_info("EPSG", PJType.COMPOUND_CRS) if parts and None not in parts else []:
         if info.name == names:
             return int(info.code)
     return horizontal(crs).to_epsg()
