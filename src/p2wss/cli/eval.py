@@ -76,7 +76,7 @@ def eval_reconstruct(
     from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
 
     listed = read_manifest(manifest, shards or None)
-    inputs, crs = methods.Inputs(config), listed.crs()
+    inputs = methods.Inputs(config)
     facts: dict[str, Any] = {"method": method, "status": "ok"}
     if options["model"] is not None:  # torch, which takes seconds to import, is for these methods alone
         set_num_threads(options["threads"])
@@ -99,7 +99,7 @@ def eval_reconstruct(
     with files.table_writer(out, RECONSTRUCTIONS) as writer:
         for of_shard in cases.test_cases(listed):
             dataset = of_shard[0].dataset
-            rows = methods.reconstruct(method, of_shard, inputs._replace(crs=crs[dataset]))
+            rows = methods.reconstruct(method, of_shard, inputs._replace(crs=listed.crs.get(dataset)))
             writer.append(reconstruction_columns(rows, dataset))
             status += [row.status for row in rows]
         if method == "roofer":

@@ -51,16 +51,18 @@ class _Listing(TypedDict):
 
     shards: list[Shard]
     selection: NotRequired[_Selection]
+    crs: NotRequired[dict[str, str | None]]
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """The shards of the stage crops, in the order of the manifest."""
+    """The shards of the stage crops, in the order of the manifest. crs: of each data set that states one."""
 
     shards: Sequence[Shard]
     # see p2wss.crops.manifest; a data set that is absent is used whole
     selection: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+    crs: Mapping[str, str | None] = field(default_factory=dict)
 
     def select(self, table: pa.Table, dataset: str, purposes: Sequence[str]) -> np.ndarray:
         """Mask of the rows of a shard that are used for any of the purposes, bool (n,).
@@ -82,14 +84,6 @@ class Manifest:
             in_split = (split == purpose) | (dataset != SIMULATED)
             mask |= in_split & (rank >= first) & (rank < end)
         return mask
-
-    def crs(self) -> dict[str, str | None]:
-        """CRS of each data set, from its first shard; None if that does not state one."""
-        by_dataset: dict[str, str | None] = {}
-        for shard in self.shards:
-            if shard.dataset not in by_dataset:
-                by_dataset[shard.dataset] = files.read_metadata(shard.verified()).get("crs")
-        return by_dataset
 
 
 def building_ranks(table: pa.Table, seed: int) -> np.ndarray:
@@ -123,4 +117,4 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
                     f"{path}: lists {shard.path}, which does not exist; run the stage crops again"
                 )
     selection = content.get("selection", {})
-    return Manifest(shards, selection.get("ranges", {}), selection.get("seed", 0))
+    return Manifest(shards, selection.get("ranges", {}), selection.get("seed", 0), content.get("crs", {}))

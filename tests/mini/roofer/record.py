@@ -30,7 +30,7 @@ def main() -> int:
     arguments = parser.parse_args()
     config = load({"eval": {"roofer_command": arguments.command}}).eval
     listed = read_manifest(arguments.manifest)
-    crs, sketches = listed.crs(), defaultdict(dict)
+    crs, sketches = listed.crs, defaultdict(dict)
     for cases in test_cases(listed):
         dataset, tile = cases[0].dataset, cases[0].building.tile
         folder = arguments.out if dataset == REAL else arguments.out / dataset

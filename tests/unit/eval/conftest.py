@@ -92,7 +92,8 @@ def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
                         "rows": {"val": 4, "train": 20, "test": 16},
                     },
                     {"path": "b.parquet", "dataset": "real", "rows": {"none": 12}},
-                ]
+                ],
+                "crs": {"simulated": "EPSG:2154", "real": "EPSG:2154"},
             }
         )
     )
