@@ -18,7 +18,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-log = logging.getLogger("p2wss")
+from p2wss.storage.log_lines import log
 
 
 def num_processes() -> int:
