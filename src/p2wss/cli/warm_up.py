@@ -15,7 +15,7 @@ from p2wss.storage.provenance import fingerprint
 @option("--all", "with_scans", is_flag=True, help="also compile the code that p2wss scans needs")
 def warm_up(with_scans: bool) -> None:
     """Compile the code that p2wss reconstruct needs, once for this computer."""
-    from p2wss.reconstruction.compiled import marker
+    from p2wss.reconstruction.compiled import marker, num_processes
 
     done = marker(with_scans)
     if done is not None and done.exists():
@@ -23,12 +23,13 @@ def warm_up(with_scans: bool) -> None:
         return
     from p2wss.reconstruction import warm_up as of_reconstruct
 
-    start = time.monotonic()
-    of_reconstruct.warm_product()
+    more = []
     if with_scans:
         from p2wss.scans.warm_up import warm_survey
 
-        warm_survey()
+        more.append(warm_survey)
+    start = time.monotonic()
+    of_reconstruct.warm_product(num_processes(), more)
     fingerprint("reconstruction")  # kept beside the compiled code, too
     log.info("compiled in %.0f s", time.monotonic() - start)
     if done is not None:

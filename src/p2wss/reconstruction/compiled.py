@@ -1,15 +1,42 @@
-"""The mark of ``p2wss warm-up``; apart, so that it is found at once."""
+"""Whether the code is compiled for this computer; apart from what compiles it, so that this is known at once."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 from pathlib import Path
 
 import numba
 from llvmlite.binding import get_host_cpu_name
 
-from p2wss.skeleton.compiled import cache_folder
+from p2wss.mesh.contraction import contracted
+from p2wss.skeleton.compiled import cache_folder, is_stored
+from p2wss.storage.log_lines import log
+
+# of processes that compile, each of which takes 0.6 GB
+_MAX_PROCESSES = 4
+
+
+def num_processes() -> int:
+    """How many processes compile at once."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, _MAX_PROCESSES)
+
+
+def compile_once() -> None:
+    """Compile the code of the product before a first run needs it function by function, if several cores are there.
+
+    The run compiles what is missing, whatever happens here.
+    """
+    if cache_folder() is None or is_stored(contracted) or num_processes() == 1:
+        return
+    from p2wss.reconstruction.warm_up import warm_product
+
+    try:
+        warm_product(num_processes())
+    except Exception as error:
+        log.debug("compiling ahead: %s", error)
 
 
 def marker(with_scans: bool) -> Path | None:

@@ -43,6 +43,7 @@ from p2wss.reconstruction.area import (
     run_area,
     window,
 )
+from p2wss.reconstruction.compiled import compile_once
 from p2wss.reconstruction.inputs import Inputs, read_outlines
 from p2wss.reconstruction.outputs import exports, page, picture, vegetation
 from p2wss.reconstruction.outputs.attributes import attributes, table
@@ -542,6 +543,7 @@ def reconstruct(
         else:
             features = read_features(inputs, settings)
         log.debug("%d footprints read", len(features))
+        compile_once()
         whole = set(features["building_id"].tolist())
         features = cleaned(features, config)
         log.debug("%d footprints cleaned", len(features))

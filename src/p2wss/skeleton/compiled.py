@@ -124,6 +124,11 @@ def cache_folder() -> Path | None:
     return None if locator is None else Path(locator.get_cache_path())
 
 
+def is_stored(function: Any) -> bool:
+    """Whether the cache has machine code of a compiled function of this package."""
+    return bool(function._cache.is_stored)
+
+
 @cache
 def _log_once(text: str) -> None:
     log.info(text)
@@ -219,6 +224,10 @@ def _compiled(**options: Any) -> Callable[[Callable], Any]:
     return decorate
 
 
+def _num_stored() -> int:
+    return sum(each.is_stored for each in _Cache.of_all)
+
+
 class _Notice(event.Listener):
     """Logs how many functions of p2wss are compiled, where that takes longer than a few seconds.
 
@@ -242,9 +251,11 @@ class _Notice(event.Listener):
         if is_ours:
             from p2wss.storage.progress import Progress
 
-            self._progress = self._progress or Progress("compiling for this computer, once", 0, "functions")
-            # another process may have compiled some meanwhile
-            self._progress.total = self._num_done + sum(not each.is_stored for each in _Cache.of_all)
+            if self._progress is None:
+                title, num_before = "compiling for this computer, once", _num_stored()
+                self._progress = Progress(title, len(_Cache.of_all), "functions", num_before)
+            # modules may have been imported since
+            self._progress.total = len(_Cache.of_all)
         if self._depth == 0:
             # which only the compiler needs; before the first function, it would load scipy's linear algebra to see
             # whether it is there, and none here uses it
@@ -265,7 +276,8 @@ class _Notice(event.Listener):
             if compilation._exc_details is not None:
                 function.release()
             self._num_done += 1
-            self._progress.update(self._num_done)
+            # other processes may have compiled some, too; without a folder, none is stored
+            self._progress.update(max(self._num_done, _num_stored()))
 
 
 _notice = _Notice()

@@ -16,7 +16,7 @@ def test_nothing_to_do_the_second_time(
 ) -> None:
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
     done: list[str] = []
-    monkeypatch.setattr(of_reconstruct, "warm_product", lambda: done.append("product"))
+    monkeypatch.setattr(of_reconstruct, "warm_product", lambda *_: done.append("product"))
     with caplog.at_level("INFO"):
         assert cli.main(["warm-up"]) == 0
         assert "compiled in" in caplog.text and "all code is already compiled" not in caplog.text
@@ -25,7 +25,7 @@ def test_nothing_to_do_the_second_time(
 
 
 def test_a_failure_is_no_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails() -> None:
+    def fails(*_: object) -> None:
         raise ValueError("no compiler")
 
     monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))

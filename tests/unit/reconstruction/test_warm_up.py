@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
+import time
 from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
 
 import numpy as np
+import pytest
 from numba.core.registry import CPUDispatcher
 
 import p2wss.fit
 from p2wss.clouds import cropping
 from p2wss.config import Reconstruct
 from p2wss.nets import supposed
-from p2wss.reconstruction import warm_up
+from p2wss.reconstruction import compiled, warm_up
 from p2wss.reconstruction.pipeline import run
 
 # called from Python by tests only
@@ -46,3 +51,37 @@ def test_the_sample_has_a_step_a_dormer_and_a_courtyard() -> None:
     assert any_shape[0].num_parts == 2
     assert len(any_shape[1].mesh.triangle) > len(parametric[1].mesh.triangle)
     assert len(any_shape[2].rings) == 2 and np.isfinite(any_shape[2].mesh.vertex_m).all()
+
+
+def test_several_processes_compile_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def part(name: str) -> None:
+        (tmp_path / name).write_text(str(os.getpid()))
+        deadline = time.monotonic() + 20
+        while name == "_fit" and not (tmp_path / "more").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+
+    for name in ("_fit", "_parametric", "_labelling", "_whole"):
+        monkeypatch.setattr(warm_up, name, partial(part, name))
+    warm_up.warm_product(2, [partial(part, "more")])
+    by = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    first = by.pop("_fit")
+    assert set(by) == {"_parametric", "_labelling", "_whole", "more"}
+    assert len(set(by.values())) == 1 and {first, str(os.getpid())}.isdisjoint(by.values())
+
+
+def test_a_first_run_compiles_by_all_cores_and_goes_on_where_that_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    called: list[int] = []
+
+    def fails(num_processes: int) -> None:
+        called.append(num_processes)
+        raise ChildProcessError("killed")
+
+    monkeypatch.setattr(warm_up, "warm_product", fails)
+    monkeypatch.setattr(compiled, "num_processes", lambda: 3)
+    compiled.compile_once()
+    assert called == []  # all is compiled
+    monkeypatch.setattr(compiled, "is_stored", lambda _: False)
+    compiled.compile_once()
+    assert called == [3]
