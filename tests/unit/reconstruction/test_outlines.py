@@ -86,6 +86,17 @@ def test_a_short_side_between_sides_that_would_meet_in_a_spike_stays(angle_deg: 
     assert xy_m[:, 0].max() < 12.7
 
 
+@pytest.mark.parametrize("angle_deg", [20.0, 30.0, 40.0, 70.0])
+def test_corners_that_a_coarse_raster_cuts_off_are_there_again(angle_deg: float) -> None:
+    house = shapely.box(0, 0, 15, 10)
+    dense = scene((house, 8.0), angle_deg=angle_deg)
+    kept = np.random.default_rng(1).random(len(dense)) < 0.27
+    cloud = Cloud(dense.x_m[kept], dense.y_m[kept], dense.z_m[kept], dense.classification[kept], LAMBERT)
+    (outline,) = outlines(cloud, Outlines(overhang_m=0))
+    assert len(outline.exterior.coords) - 1 == 4
+    assert corner_errors_m(outline, placed(house, angle_deg)).max() <= 0.5
+
+
 @pytest.mark.parametrize("angle_deg", [12.0, 17.0, 74.0])
 def test_a_small_house_stands_as_its_points_do(angle_deg: float) -> None:
     """Along edges of few cells a trace follows the raster."""

@@ -147,6 +147,8 @@ def regularised(
         _reduce(lines, settings.min_edge_m)
         best = _polygon(lines, ring) or shapely.Polygon(xy_m)
         lines = _fitted(lines, points, bool(rings), settings.overhang_m)
+        if not rings:
+            _fill_corners(lines, points)
         _reduce(lines, settings.min_edge_m)
         rings.append(_polygon(lines, ring) or best)
     result: BaseGeometry = rings[0]
@@ -292,6 +294,25 @@ def _reduce(lines: list[_Line], min_edge_m: float) -> None:
         for line, length in zip(lines, length_m.tolist(), strict=True):
             line.length = max(length, RULES.least_length_m)
         lines.pop(shortest)
+
+
+def _fill_corners(lines: list[_Line], points: EdgePoints) -> None:
+    """Remove oblique edges of an exterior beyond which the corner of their neighbours is full of points on the roof: a
+    raster cuts off corners of buildings that stand across it."""
+    for index in reversed(range(len(lines))):
+        line, before, after = lines[index], lines[index - 1], lines[(index + 1) % len(lines)]
+        ends = [_corner(before, line), _corner(line, after), _corner(before, after)]
+        if line.is_main or len(lines) <= 3 or any(end is None for end in ends):
+            continue
+        start, end, tip = np.array(ends, float)
+        if (end - start) @ line.direction > 0 and tip @ line.normal > line.offset:
+            beyond = shapely.Polygon([start, tip, end])
+            num_roof, num_ground = (
+                np.count_nonzero(shapely.contains_xy(beyond, *xy_m.T))
+                for xy_m in (points.roof_m, points.ground_m)
+            )
+            if num_roof > max(num_ground, RULES.least_density * points.density * beyond.area):
+                lines.pop(index)
 
 
 def _is_cap(lines: list[_Line]) -> np.ndarray:
