@@ -168,19 +168,19 @@ def _vector(path: Path) -> Facts:
     from p2wss.footprints.vector_files import decoded, layers_of, opening, unpacked
 
     layers: list[Facts] = []
-    info: Facts = {}
     with opening(path):
         source = unpacked(path)
-        names = [name for name, _ in layers_of(source)]
-    for name in names:
-        info = decoded(
-            source, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True
-        )
+        # without a layer that can be read, the error of the first says why
+        infos = [
+            decoded(source, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True)
+            for name in [name for name, _ in layers_of(source)] or [None]
+        ]
+    for info in infos:
         metadata = info["layer_metadata"] or {}
         bounds = info["total_bounds"]
         layers.append(
             {
-                "layer": name,
+                "layer": info["layer_name"],
                 "num_features": info["features"],
                 "crs": _crs(info["crs"]),
                 "bounds": [float(value) for value in bounds] if bounds is not None else None,
@@ -189,8 +189,8 @@ def _vector(path: Path) -> Facts:
                 **_provenance(metadata.get("p2wss")),
             }
         )
-    dataset = info["dataset_metadata"] or {}
-    return {"kind": f"vector, {info['driver']}", "layers": layers} | _provenance(dataset.get("p2wss"))
+    dataset = infos[0]["dataset_metadata"] or {}
+    return {"kind": f"vector, {infos[0]['driver']}", "layers": layers} | _provenance(dataset.get("p2wss"))
 
 
 def _raster(path: Path) -> Facts:

@@ -179,6 +179,27 @@ def test_vector_files_of_any_kind(tmp_path: Path) -> None:
         assert facts["layers"][0]["num_features"] == 2 and facts["checksum"].startswith("none stated")
 
 
+def test_a_city_model_whose_layers_cannot_be_read_says_so(tmp_path: Path) -> None:
+    corners = "<gml:posList>0 0 0 1 0 0 1 1 0 0 0 0</gml:posList>"
+    for name in [
+        "LinearRing",
+        "exterior",
+        "Polygon",
+        "surfaceMember",
+        "CompositeSurface",
+        "exterior",
+        "Solid",
+    ]:
+        corners = f"<gml:{name}>{corners}</gml:{name}>"
+    (tmp_path / "city.gml").write_text(
+        '<core:CityModel xmlns:core="http://www.opengis.net/citygml/2.0" xmlns:gml="http://www.opengis.net/gml"'
+        ' xmlns:bldg="http://www.opengis.net/citygml/building/2.0"><core:cityObjectMember><bldg:Building>'
+        f"<bldg:lod1Solid>{corners}</bldg:lod1Solid></bldg:Building></core:cityObjectMember></core:CityModel>"
+    )
+    with pytest.raises(InputError, match="has layers of 3D geometries that cannot be read; save it as"):
+        describe(tmp_path / "city.gml")
+
+
 def test_a_reader_that_stops_ends_the_command_without_a_traceback() -> None:
     command = [sys.executable, "-c", "from p2wss.cli import main; raise SystemExit(main())", "inspect"]
     with subprocess.Popen([*command, GPKG], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
