@@ -209,7 +209,10 @@ def _options(path: str | Path) -> dict[str, str]:
     if ending in _GML:
         # columns are those of its schema, or of its features: a .gfs beside it may be of another file
         return {"XSD": str(path)[: -len(ending)] + ".xsd", "WRITE_GFS": "NO"}
-    return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending in (".osm", ".pbf") else {}
+    if ending == ".osm":
+        # an editor gives what it has not uploaded negative ids, which the faster index refuses
+        return {"CONFIG_FILE": str(osm_tags.AREAS), "USE_CUSTOM_INDEXING": "NO"}
+    return {"CONFIG_FILE": str(osm_tags.AREAS)} if ending == ".pbf" else {}
 
 
 def layers_of(path: str | Path) -> list[tuple[str, str | None]]:

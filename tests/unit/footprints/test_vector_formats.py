@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import shutil
 import sqlite3
 import warnings
@@ -127,6 +128,13 @@ def test_tags_of_a_file_of_openstreetmap_are_heights(name: str, tmp_path: Path) 
     path = WRITERS[name](houses.footprints(), tmp_path)
     features = read_footprints(path, metric=MetricCrs(*[houses.footprints().crs] * 2))
     assert features["stated_height_m"].tolist() == [8.0, 6.0]
+
+
+def test_what_an_editor_of_openstreetmap_has_not_uploaded_is_read(tmp_path: Path) -> None:
+    path = WRITERS["osm"](houses.footprints(), tmp_path)
+    path.write_text(re.sub(r'\b(id|ref)="', r'\1="-', path.read_text()))
+    features = read_footprints(path, metric=MetricCrs(*[houses.footprints().crs] * 2))
+    assert sorted(features["building_id"]) == ["-1", "-2"]
 
 
 def test_rare_tags_in_one_column_are_heights_and_parts(tmp_path: Path) -> None:
