@@ -170,10 +170,11 @@ def _vector(path: Path) -> Facts:
     layers: list[Facts] = []
     with opening(path):
         source = unpacked(path)
+        names: list[str | None] = [name for name, _ in layers_of(source)]
         # without a layer that can be read, the error of the first says why
         infos = [
             decoded(source, pyogrio.read_info, layer=name, force_feature_count=True, force_total_bounds=True)
-            for name in [name for name, _ in layers_of(source)] or [None]
+            for name in names or [None]
         ]
     for info in infos:
         metadata = info["layer_metadata"] or {}

@@ -308,8 +308,7 @@ def _fill_corners(lines: list[_Line], points: EdgePoints) -> None:
         if (end - start) @ line.direction > 0 and tip @ line.normal > line.offset:
             beyond = shapely.Polygon([start, tip, end])
             num_roof, num_ground = (
-                np.count_nonzero(shapely.contains_xy(beyond, *xy_m.T))
-                for xy_m in (points.roof_m, points.ground_m)
+                int(shapely.contains_xy(beyond, *xy_m.T).sum()) for xy_m in (points.roof_m, points.ground_m)
             )
             if num_roof > max(num_ground, RULES.least_density * points.density * beyond.area):
                 lines.pop(index)
