@@ -127,7 +127,8 @@ def points(
                 own_at[k] = count - 1
             point_m[here[:count]] = _met(row, scale, is_own, point_m[here[:count]], own_at, own_plane)
         apart_m = _apart_m(row, point_m, at, plane)
-    return point_m, np.where(can_move & counts, apart_m, 0.0)
+    apart_m[~(can_move & counts)] = 0.0
+    return point_m, apart_m
 
 
 @allocating
@@ -153,7 +154,9 @@ def _together(
         size[number] += 1
         if k >= num_planes:
             is_wrong[number] |= is_off[k - num_planes]
-    return np.where(is_wrong, np.cumsum(size * is_wrong) // _TOGETHER, -1)[part]
+    together = np.cumsum(size * is_wrong) // _TOGETHER
+    together[~is_wrong] = -1
+    return together[part]
 
 
 @allocating
@@ -208,7 +211,8 @@ def equations(
     base /= size.reshape(-1, 1)
     # of places from their mean, sums of squares and of the products with heights
     row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
-    stiff = np.where(kind == _FLAT, _STIFF, 1.0)
+    stiff = np.ones(num)
+    stiff[kind == _FLAT] = _STIFF
     # of walls, the ends on the floor
     ends_m = np.zeros((num, 2, 2))
     for k, p in enumerate(plane):
@@ -286,7 +290,8 @@ def _met(
 ) -> np.ndarray:
     """Where the planes at points (n, 4) meet after the least changes of those rows that move, which are changed in
     place. at, plane: pairs of points and planes, ascending."""
-    number = np.where(moves, np.cumsum(moves) - 1, -1)
+    number = np.cumsum(moves) - 1
+    number[~moves] = -1
     begin = np.searchsorted(at, np.arange(len(point_m) + 1))
     inverse, _ = _inverses(row, at, plane)
     for _ in range(_NUM_ROUNDS):

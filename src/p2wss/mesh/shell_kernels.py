@@ -8,7 +8,7 @@ import numpy as np
 
 from p2wss.mesh.polygon_kernels import TOUCH_M
 from p2wss.skeleton.compiled import ZERO, both, entry, inner
-from p2wss.skeleton.ordering import sorted_by
+from p2wss.skeleton.ordering import order_of, sorted_by
 from p2wss.skeleton.rings import segment_distance_m2
 from p2wss.skeleton.types import FaceKind
 
@@ -56,7 +56,7 @@ def any_intersect(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray)
                 normal[t, i] /= length
             near[num_near], num_near = t, num_near + 1
     # in the order of where they begin, so that few are compared
-    order = np.argsort(low[:num_near, 0])
+    order = order_of(low[:num_near, 0].copy())
     near, from_m, to_m = near[order], low[order], high[order]
     begin, widest = from_m[:, 0].copy(), (to_m[:, 0] - from_m[:, 0]).max() if num_near else 0.0
     is_done = np.zeros(len(triangle), np.bool_)

@@ -656,7 +656,7 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
                     return NO_EVENT
                 break
             if phase == 1 and height > max_roof_height:
-                _cap(work, num_edges, _NOTHING, max_roof_height)
+                _cap(work, num_edges, ZERO + _NOTHING, max_roof_height)
                 return OK
             t = max(t, height)
             if is_split:

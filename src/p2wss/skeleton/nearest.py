@@ -20,7 +20,8 @@ def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[n
     (array([[0., 5.]]), array([[0, 1]]))
     """
     squared_m2, number = _nearest(writable(place_m, np.float64), writable(point_m, np.float64), int(count))
-    return np.sqrt(squared_m2[:, :count]), number[:, :count]
+    # of one layout, for which compiled code is compiled
+    return np.sqrt(squared_m2[:, :count]), np.ascontiguousarray(number[:, :count])
 
 
 @inner

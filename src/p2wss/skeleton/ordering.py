@@ -49,6 +49,18 @@ def select(values: np.ndarray, count: int, place: int) -> float:
 
 
 @allocating
+def order_of(value: np.ndarray) -> np.ndarray:
+    """The places (n,) of float64 values, by these; equal ones in the order in which they are."""
+    return np.argsort(value, kind="mergesort")
+
+
+@allocating
+def ascending(number: np.ndarray) -> np.ndarray:
+    """int64 numbers (n,), sorted."""
+    return np.sort(number)
+
+
+@allocating
 def sorted_by(number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """(where the places of each number below ``size`` begin, int64 (size + 1,); places, ascending). number: int (n,),
     negative for none."""

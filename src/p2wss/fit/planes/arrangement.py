@@ -14,6 +14,7 @@ from p2wss.fit.planes.lines import Line, edges_of, ends_of
 from p2wss.fit.planes.ring_kernels import rings_around
 from p2wss.mesh.topology import reverses
 from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.ordering import order_of
 from p2wss.skeleton.types import distinct, next_in_ring, numbered, writable
 
 # metres: coordinates of the arrangement are multiples of this
@@ -181,7 +182,7 @@ def _crossings(start: np.ndarray, step: np.ndarray, along: np.ndarray) -> np.nda
         np.minimum(start[:, 0], start[:, 0] + step[:, 0]),
         np.maximum(start[:, 0], start[:, 0] + step[:, 0]),
     )
-    result, num, order = np.empty((1024, 2)), 0, np.argsort(low)
+    result, num, order = np.empty((1024, 2)), 0, order_of(low)
     for t in range(len(order)):
         for u in range(t + 1, len(order)):
             if low[order[u]] > high[order[t]]:
@@ -215,7 +216,7 @@ def _passed(
     order = np.arange(len(place))
     for column in range(num_columns):
         own = order[begin[column] : begin[column + 1]]
-        own[:] = own[np.argsort(place[own, 1], kind="mergesort")]
+        own[:] = own[order_of(place[own, 1])]
     height = place[order, 1]
     segment, number, num = np.empty(1024, np.int64), np.empty(1024, np.int64), 0
     at, off = np.empty(1024), np.empty(1024)
@@ -282,7 +283,7 @@ def _cells_below(xy_m: np.ndarray, end_m: np.ndarray, pair: np.ndarray) -> np.nd
             tallest_m[column] = max(tallest_m[column], height_m)
     begin = np.cumsum(begin)
     free, member = begin.copy(), np.empty(begin[-1], np.int64)
-    for k in np.argsort(top, kind="mergesort"):
+    for k in order_of(top):
         for column in range(int((left[k] - from_x) / width_m), int((right[k] - from_x) / width_m) + 1):
             member[free[column]] = k
             free[column] += 1

@@ -17,6 +17,7 @@ from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import allocating, both, entry, inner
 from p2wss.skeleton.groups import grouped, groups
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.ordering import order_of
 from p2wss.skeleton.types import distinct, numbered, writable
 
 # metres above the ground: no roof is lower, at a price beyond all others
@@ -278,7 +279,7 @@ def _candidates_at(
                     least_m[plane] = min(least_m[plane], away_m)
         near = found[:num_found]
         if num_found > _MAX_CANDIDATES:
-            near = near[np.argsort(least_m[near], kind="mergesort")][:_MAX_CANDIDATES]
+            near = near[order_of(least_m[near])][:_MAX_CANDIDATES]
         if num + len(near) > len(result):
             result = np.concatenate((result, np.empty_like(result)))
         result[num : num + len(near)], num = near, num + len(near)

@@ -14,7 +14,7 @@ from p2wss.fit.points import every_kth, quantile
 from p2wss.fit.settings import Detection, PlanePrices
 from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.nearest import nearest
-from p2wss.skeleton.ordering import sorted_by
+from p2wss.skeleton.ordering import ascending, order_of, sorted_by
 
 # a sum of scores in another order differs by less
 _ROUNDING = 1e-6
@@ -142,7 +142,7 @@ def _paid(
             saved_m3[label[row]] += stands_m2 * (best_m - own_m)
         begin, rows = sorted_by(label + 1, len(plane) + 1)
         is_beside[:], num_gone = ~is_kept, 0
-        for p in np.argsort(saved_m3, kind="mergesort"):
+        for p in order_of(saved_m3):
             if is_beside[p] or saved_m3[p] >= prices.least_m3:
                 continue
             is_kept[p], num_gone = False, num_gone + 1
@@ -331,7 +331,8 @@ def _largest(
     none, and so on with those left."""
     num, num_near = neighbour.shape
     label, first = label.copy(), label.max() + 1
-    seen = np.where(label < 0, -1, _TAKEN)
+    seen = np.full(num, _TAKEN)
+    seen[label < 0] = -1
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
     num_trials, min_slope_points = 0, max(min_points, settings.min_slope_points)
@@ -346,8 +347,9 @@ def _largest(
         best_score, best_count = 0.0, ZERO
         seeds = free[:: len(free) // num_seeds + 1]
         for seed in seeds:
-            for trial in _planes_at(seed, point_m, neighbour[seed], label, axis, settings):
-                a, b, c = trial
+            trials = _planes_at(seed, point_m, neighbour[seed], label, axis, settings)
+            for t in range(len(trials)):
+                a, b, c = trials[t]
                 # all that is near to the plane, connected or not, is rarely more than the best has
                 k, score, scale = 0, _ROUNDING, 1 / ((1 + a**2 + b**2) * settings.distance_m**2)
                 while k < len(left) and score <= best_score:
@@ -356,7 +358,7 @@ def _largest(
                 if score <= best_score:
                     continue
                 rows[0], num_trials = seed, num_trials + 1
-                count, score = _connected(trial, point_m, neighbour, rows, seen, num_trials, settings)
+                count, score = _connected(trials[t], point_m, neighbour, rows, seen, num_trials, settings)
                 least = min_points if a == 0 and b == 0 else min_slope_points
                 if score > best_score and count >= least:
                     best_score, best_count = score, count
@@ -417,7 +419,7 @@ def _planes_at(
         around = fit(point_m, rows, count, settings.noise_m)
         if np.hypot(around[0], around[1]) <= settings.max_slope:
             plane[num], num = around, num + 1
-    return plane[:num]
+    return plane[:num].copy()
 
 
 @inner
@@ -494,11 +496,12 @@ def _merged(
             if min(number, other) >= 0 and number != other:
                 link[num_links] = min(number, other) * num + max(number, other)
                 num_links += 1
-    link = np.sort(link[:num_links])
+    link = ascending(link[:num_links])
     # planes that touch in three pairs of points or more, and how much further points are from one plane in place of two
     is_pair = np.zeros(num_links, np.bool_)
     is_pair[: max(num_links - 2, 0)] = link[: max(num_links - 2, 0)] == link[2:]
-    pair = np.unique(link[is_pair])
+    is_pair[1:] &= link[1:] != link[:-1]
+    pair = link[is_pair]
     worse_m, joint, is_new = (
         np.full(len(pair), np.inf),
         np.zeros((len(pair), 3)),
@@ -519,7 +522,7 @@ def _merged(
         one, other = pair[best] // num, pair[best] % num
         label[rows_of[other]], worse_m[best] = one, np.inf
         rows_of[one], rows_of[other] = (
-            np.sort(np.concatenate((rows_of[one], rows_of[other]))),
+            ascending(np.concatenate((rows_of[one], rows_of[other]))),
             rows_of[other][:0],
         )
         residual_m[one] = mean_distance(joint[best], point_m, rows_of[one])

@@ -16,7 +16,7 @@ from p2wss.fit.planes.costs import Costs, Problem, beside, faces_of, is_step, si
 from p2wss.fit.settings import PlanePrices
 from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.half_edges import find
-from p2wss.skeleton.ordering import sorted_by
+from p2wss.skeleton.ordering import ascending, sorted_by
 
 _MAX_ROUNDS = 4
 _GAIN_M3 = 1e-6
@@ -177,7 +177,7 @@ def _part(
                 num_candidates += 1
                 if slots.plane[number] < 0:
                     slots.plane[number], planes[num_planes], num_planes = 0, number, num_planes + 1
-    planes = np.sort(planes[:num_planes])
+    planes = ascending(planes[:num_planes])
     slots.plane[planes] = np.arange(num_planes)
     first, origin = np.zeros(len(everything) + 1, np.int64), np.empty(num_candidates + num_free, np.int64)
     of_cell, count = np.empty(num_candidates + num_free, np.int64), 0

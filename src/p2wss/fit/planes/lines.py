@@ -16,6 +16,7 @@ from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.nearest import nearest
+from p2wss.skeleton.ordering import order_of
 from p2wss.skeleton.rings import sides
 from p2wss.skeleton.types import cross, differs, distinct, next_in_ring, numbered, writable
 
@@ -181,7 +182,7 @@ def _are_divided(link_m: np.ndarray, lines: Sequence[Line]) -> np.ndarray:
 def _crossed(link_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
     """bool (l,), which links (l, 2, 2) a segment (s, 2, 2) crosses or touches."""
     result, low_x = np.zeros(len(link_m), np.bool_), np.minimum(link_m[:, 0, 0], link_m[:, 1, 0])
-    order = np.argsort(low_x)
+    order = order_of(low_x)
     widest = np.abs(link_m[:, 1, 0] - link_m[:, 0, 0]).max() if len(link_m) else 0.0
     low_x = low_x[order]
     for one, other in end_m:
@@ -331,7 +332,7 @@ def _steps(
                 place_m[k] = rows[k, 0] * across_x + rows[k, 1] * across_y
                 along_m = rows[k, 1] * across_x - rows[k, 0] * across_y
                 low_m, high_m = min(low_m, along_m), max(high_m, along_m)
-            order = np.argsort(place_m, kind="mergesort")
+            order = order_of(place_m)
             # wrong are places of the second plane before the line, and of the first behind it
             num_wrong, num_fewest, best = num_one, wrong_share * min(num_one, num_other), -1
             for k in range(len(rows) - 1):
@@ -368,7 +369,7 @@ def _extents(
             x, y = point_m[row, 0], point_m[row, 1]
             own_m[0, num], own_m[1, num], num = x * cosine + y * sine, y * cosine - x * sine, num + 1
         for k in range(2):
-            own_m[k, :num] = np.sort(own_m[k, :num])
+            own_m[k, :num] = own_m[k, :num][order_of(own_m[k, :num])]
         (left, bottom), (right, top) = own_m[:, 0], own_m[:, num - 1]
         # what is as far along both axes of coordinates
         low_x = min(cosine * left, cosine * right) + min(-sine * bottom, -sine * top)
@@ -383,7 +384,7 @@ def _extents(
                 if own_m[0, first] <= u <= own_m[0, last] and own_m[1, first] <= v <= own_m[1, last]:
                     other_m[0, num_others], other_m[1, num_others], num_others = u, v, num_others + 1
         for k in range(2):
-            other_m[k, :num_others] = np.sort(other_m[k, :num_others])
+            other_m[k, :num_others] = other_m[k, :num_others][order_of(other_m[k, :num_others])]
             margin_m = (own_m[k, num - 1] - own_m[k, 0]) / num**0.5 / 2
             from_m, to_m = own_m[k, first] - margin_m, own_m[k, last] + margin_m
             # how many more of the plane than others are up to each place, where they are least and most

@@ -74,7 +74,7 @@ def straightened(
                 at[i] = k
         pending[num], pending[num + 1] = one, other
         num += 2
-    order = np.argsort(rank)
+    order = sorted_by(rank, num_made)[1]
     order = order[~is_gone[order]]
     side, face = side[order], face[order]
     for k in range(len(side)):
