@@ -186,7 +186,7 @@ def opening(path: str | Path) -> Iterator[None]:
         except pyogrio.errors.GeometryError as error:  # 3D of any kind, TIN, polyhedral surfaces
             raise InputError(
                 f"{path}: has layers of 3D geometries that cannot be read; save it as GeoPackage with geometries"
-                " MultiPolygon, with QGIS for instance"
+                " MultiPolygon, with QGIS for instance, or CityGML as CityJSON: citygml-tools to-cityjson FILE"
             ) from error
         except pyogrio.errors.DataSourceError as error:
             if "not recognized" not in str(error):

@@ -1,4 +1,4 @@
-"""Reading CityJSON: the solids of buildings as triangles, for measures, and as they are, for tests."""
+"""Reading CityJSON: the solids of buildings as triangles, for measures, and as they are, for tests; their plans."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mapbox_earcut
 import numpy as np
 import pyproj
+import shapely
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.log_lines import log
+
+if TYPE_CHECKING:
+    import geopandas as gpd
 
 _KIND = {
     "GroundSurface": FaceKind.GROUND,
@@ -36,6 +40,10 @@ _LODS = ("2.2", "2.3", "2.0", "2", "2.1")
 # geometries that are read: how many lists there are around each polygon
 _DEPTHS = {"MultiSurface": 1, "CompositeSurface": 1, "Solid": 2, "MultiSolid": 3, "CompositeSolid": 3}
 _OF_SOLIDS = 3
+# how much of a file tells whether it is CityJSON
+_NUM_SHOWN = 4096
+# plans have coordinates of millimetres
+_GRID_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,55 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
                 log.warning(text, path, ", ".join(sorted(lods)))
         stated = documents[0].get("metadata", {}).get("referenceSystem")
         return list(by_id.values()), None if stated is None else pyproj.CRS.from_user_input(stated)
+
+
+def is_cityjson(path: str | Path) -> bool:
+    """Whether a file is CityJSON by what it begins or ends with."""
+    if not Path(path).is_file():
+        return False
+    with open(path, "rb") as file:
+        begin = file.read(_NUM_SHOWN)
+        file.seek(max(0, Path(path).stat().st_size - _NUM_SHOWN))
+        return b'"CityJSON"' in begin + file.read()
+
+
+def plans(path: str | Path) -> gpd.GeoDataFrame:
+    """The buildings of a CityJSON file or CityJSONSeq as footprints, with ``building_id`` and what of their attributes
+    is no list or object: what the ground surfaces of the lowest level of detail cover, parts joined, or all surfaces
+    where none is said to be ground.
+
+    Raises :class:`InputError` if the file is not CityJSON, or has no buildings.
+    """
+    import geopandas as gpd
+
+    documents, scale, translate = _documents(path)
+    rows: list[dict[str, Any]] = []
+    shapes = []
+    with reading(path, "CityJSON"):
+        for document in documents:
+            objects, vertex_m = _content(document, documents[0], scale, translate)
+            for name, building in objects.items():
+                if building["type"] != "Building":
+                    continue
+                given = [each for some in _geometries(objects, name) for each in some]
+                lowest = min((str(each.get("lod")) for each in given), default="")
+                lists = [_polygons_of(each) for each in given if str(each.get("lod")) == lowest]
+                faces = [(rings, kind) for some in lists for _, rings, kind in some]
+                ground = [rings for rings, kind in faces if kind == FaceKind.GROUND]
+                parts = [_in_plan(rings, vertex_m) for rings in ground or [rings for rings, _ in faces]]
+                shapes.append(shapely.union_all(shapely.buffer(parts, 0.0), grid_size=_GRID_M))
+                attributes = building.get("attributes", {}).items()
+                single = {key: value for key, value in attributes if not isinstance(value, list | dict)}
+                rows.append(single | {"building_id": name})
+        if not rows:
+            raise InputError(f"{path}: has no buildings")
+        stated = documents[0].get("metadata", {}).get("referenceSystem")
+        return gpd.GeoDataFrame(rows, geometry=shapes, crs=stated)
+
+
+def _in_plan(rings: Any, vertex_m: np.ndarray) -> shapely.Polygon:
+    xy_m = [vertex_m[_ring(ring, vertex_m), :2] for ring in rings if len(ring) >= 3]
+    return shapely.Polygon(xy_m[0], xy_m[1:]) if xy_m else shapely.Polygon()
 
 
 @dataclass(frozen=True)
@@ -204,13 +261,8 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
     for name, building in objects.items():
         if building["type"] not in _TYPES:
             continue
-        names = [name]
-        for parent in names:  # those of parts, too
-            children = [child for child in objects[parent].get("children", []) if child in objects]
-            names += [each for each in children if each not in names and objects[each]["type"] not in _INSIDE]
         triangles, kinds, parts = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)], [0]
-        for member in (objects[each] for each in names):
-            given = [each for each in member.get("geometry", []) if each["type"] in _DEPTHS]
+        for given in _geometries(objects, name):
             by_lod = [[each for each in given if str(each.get("lod")) == lod] for lod in _LODS]
             best = next(filter(None, by_lod), [])
             # some files have the surfaces of a solid beside it
@@ -241,6 +293,16 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
             )
         )
     return solids
+
+
+def _geometries(objects: dict[str, Any], name: str) -> list[list[dict[str, Any]]]:
+    """Those that are read of a city object, and of each of its parts."""
+    names = [name]
+    for parent in names:
+        children = [child for child in objects[parent].get("children", []) if child in objects]
+        names += [each for each in children if each not in names and objects[each]["type"] not in _INSIDE]
+    given = [objects[each].get("geometry", []) for each in names]
+    return [[each for each in some if each["type"] in _DEPTHS] for some in given]
 
 
 def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[int, Any, int]]:

@@ -355,6 +355,11 @@ def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path 
     Raises :class:`InputError` for what is neither.
     """
     if isinstance(footprints, str | Path):
+        if name == "footprints" and Path(footprints).suffix.lower() in (".json", ".jsonl"):
+            from p2wss.formats.cityjson_read import is_cityjson, plans
+
+            if is_cityjson(footprints):
+                return plans(footprints)
         return Path(footprints)
     import geopandas as gpd
 

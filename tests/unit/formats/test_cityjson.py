@@ -14,6 +14,7 @@ from typing import Any
 import cityjson_rules
 import numpy as np
 import pytest
+import shapely
 import trimesh
 from places import SHARED
 from yard_house import YARD_M2, yard_house
@@ -23,6 +24,7 @@ from p2wss.formats import cityjson, cityjson_read
 from p2wss.formats.cityjson import Solid
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
+from p2wss.reconstruction.inputs import as_footprints
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.errors import InputError
 
@@ -386,3 +388,55 @@ def test_files_that_were_put_together_are_refused_where_their_places_differ(
     path.write_text(joined([solid, other], [replace(solid, attributes={"status": "flat"})]))
     assert [each.attributes["status"] for each in cityjson_read.read(path)] == ["flat", "ok"]
     assert "id flat occurs more than once" in caplog.text
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_plan_of_a_building_is_its_footprint(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.city.json"
+    solid = replace(solid_of(name)[0], attributes={"status": "ok", "sizes": [1, 2]})
+    path.write_text("".join(cityjson.document_pieces([solid], cityjson.Metadata(2154))))
+    plans = cityjson_read.plans(path)
+    assert cityjson_read.is_cityjson(path) and plans.crs == 2154
+    assert plans.equals(as_footprints(path)), "a run takes them"
+    assert plans.building_id.tolist() == [name] and "status" in plans and "sizes" not in plans
+    rings = [np.add(ring, [652000.25, 6861000.5]) for ring in CASES[name][0]]
+    assert plans.geometry[0].symmetric_difference(shapely.Polygon(rings[0], rings[1:])).area < 0.1
+
+
+def test_a_plan_without_ground_surfaces_is_what_all_surfaces_cover(tmp_path: Path) -> None:
+    """As roofs alone; the lowest level of detail counts, and a part belongs to its building."""
+
+    def square(x: float, z: float) -> list[list[float]]:
+        return [[x, 0, z], [x + 4, 0, z], [x + 4, 5, z], [x, 5, z]]
+
+    vertices = square(0, 3) + square(4, 3) + square(90, 0)
+
+    def surfaces(lod: str, *first: int) -> dict[str, Any]:
+        boundaries = [[[k, k + 1, k + 2, k + 3]] for k in first]
+        return {"type": "MultiSurface", "lod": lod, "boundaries": [*boundaries, [[0, 1]]]}
+
+    path = tmp_path / "a.json"
+    objects = {
+        "house": {
+            "type": "Building",
+            "children": ["wing"],
+            "geometry": [surfaces("1", 0), surfaces("2", 8)],
+        },
+        "wing": {"type": "BuildingPart", "parents": ["house"], "geometry": [surfaces("1", 4)]},
+        "road": {"type": "Road", "geometry": [surfaces("1", 8)]},
+    }
+    path.write_text(
+        json.dumps({"CityObjects": objects, "vertices": vertices, "type": "CityJSON", "version": "2.0"})
+    )
+    (plan,) = cityjson_read.plans(path).geometry
+    assert plan.equals(shapely.box(0, 0, 8, 5))
+
+
+def test_cityjson_without_buildings_and_geojson(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text('{"type": "FeatureCollection", "features": []}')
+    assert not cityjson_read.is_cityjson(path) and not cityjson_read.is_cityjson(tmp_path / "b.json")
+    path.write_text('{"type": "CityJSON", "CityObjects": {}, "vertices": []}')
+    assert cityjson_read.is_cityjson(path)
+    with pytest.raises(InputError, match=r"a\.json: has no buildings"):
+        cityjson_read.plans(path)
