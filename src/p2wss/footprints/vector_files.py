@@ -188,6 +188,8 @@ def opening(path: str | Path) -> Iterator[None]:
                 f"{path}: has layers of 3D geometries that cannot be read; save it as GeoPackage with geometries"
                 " MultiPolygon, with QGIS for instance, or CityGML as CityJSON: citygml-tools to-cityjson FILE"
             ) from error
+        except IndexError as error:  # of pyogrio, where GDAL knows the format
+            raise InputError(f"{path}: has no layers") from error
         except pyogrio.errors.DataSourceError as error:
             if "not recognized" not in str(error):
                 raise

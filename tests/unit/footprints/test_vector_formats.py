@@ -312,3 +312,10 @@ def test_columns_of_lists_are_read(tmp_path: Path) -> None:
     columns = read_vector(path)[0].columns
     assert columns["uses"][0].tolist() == ["barn", "house"] and columns["uses"][1] is None
     assert columns["floors"][0].tolist() == [2, 3] and columns["id"].tolist() == [1, None]
+
+
+def test_a_file_without_layers_is_said_to_have_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.gml"
+    path.write_text('<gml:FeatureCollection xmlns:gml="http://www.opengis.net/gml"></gml:FeatureCollection>')
+    with pytest.raises(InputError, match=r"a\.gml: has no layers$"):
+        read_vector(path)
