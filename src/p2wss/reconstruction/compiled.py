@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import threading
 from pathlib import Path
 
 import numba
 from llvmlite.binding import get_host_cpu_name
 
 from p2wss.mesh.contraction import contracted
-from p2wss.skeleton.compiled import cache_folder, is_stored
+from p2wss.skeleton.compiled import alone_ahead, cache_folder, is_stored
 from p2wss.storage.log_lines import log
 
 # of processes that compile, each of which takes 0.6 GB
@@ -25,18 +26,23 @@ def num_processes() -> int:
 
 
 def compile_once() -> None:
-    """Compile the code of the product before a first run needs it function by function, if several cores are there.
+    """Compile the code of the product before a first run needs it function by function, if several cores are there, and
+    no other process does the same: where many runs begin at once, as those of a workflow, one has further processes.
 
-    The run compiles what is missing, whatever happens here.
+    The run compiles what is missing, whatever happens here. A process with threads is not forked: a fork has none of
+    them, but what they had locked.
     """
-    if cache_folder() is None or is_stored(contracted) or num_processes() == 1:
+    can_share = num_processes() > 1 and hasattr(os, "fork") and threading.active_count() == 1
+    if not can_share or cache_folder() is None or is_stored(contracted):
         return
     from p2wss.reconstruction.warm_up import warm_product
 
-    try:
-        warm_product(num_processes())
-    except Exception as error:
-        log.debug("compiling ahead: %s", error)
+    with alone_ahead() as is_alone:
+        try:
+            if is_alone:
+                warm_product(num_processes())
+        except Exception as error:
+            log.debug("compiling ahead: %s", error)
 
 
 def marker(with_scans: bool) -> Path | None:

@@ -12,8 +12,8 @@ import gc
 import logging
 import os
 import re
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache, cached_property
 from hashlib import blake2b
 from pathlib import Path
@@ -51,6 +51,8 @@ ZERO: Any = np.int64(0)
 _IMPORT = re.compile(r"^from (p2wss[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 _NAME = re.compile(r"\w+")
 log = logging.getLogger("p2wss")
+# a byte beyond those of all functions
+_AHEAD = 1 << 32
 
 
 @cache
@@ -139,6 +141,22 @@ def _lock_file() -> int:
     folder = cache_folder() or Path()
     folder.mkdir(parents=True, exist_ok=True)
     return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT, 0o666)
+
+
+@contextmanager
+def alone_ahead() -> Iterator[bool]:
+    """Whether no other process is in such a block, to compile ahead of what it needs."""
+    is_alone = True
+    try:
+        if fcntl is not None:
+            fcntl.lockf(_lock_file(), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _AHEAD)
+    except OSError:
+        is_alone = False
+    try:
+        yield is_alone
+    finally:
+        if fcntl is not None and is_alone:
+            fcntl.lockf(_lock_file(), fcntl.LOCK_UN, 1, _AHEAD)
 
 
 class _Cache:

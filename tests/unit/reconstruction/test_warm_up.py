@@ -5,6 +5,9 @@ from __future__ import annotations
 import importlib
 import os
 import pkgutil
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -80,8 +83,24 @@ def test_a_first_run_compiles_by_all_cores_and_goes_on_where_that_fails(
 
     monkeypatch.setattr(warm_up, "warm_product", fails)
     monkeypatch.setattr(compiled, "num_processes", lambda: 3)
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
     compiled.compile_once()
     assert called == []  # all is compiled
     monkeypatch.setattr(compiled, "is_stored", lambda _: False)
+    ahead = (
+        "from p2wss.skeleton.compiled import alone_ahead\n"
+        "with alone_ahead() as is_alone:\n"
+        "    print(is_alone, flush=True)\n"
+        "    input()"
+    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", ahead], text=True, **pipes) as other:  # type: ignore[call-overload]
+        assert other.stdout.readline() == "True\n"
+        compiled.compile_once()
+        assert called == []  # another process does
+        other.communicate("\n")
     compiled.compile_once()
     assert called == [3]
+    monkeypatch.setattr(threading, "active_count", lambda: 2)
+    compiled.compile_once()
+    assert called == [3]  # a fork would lack the other thread
