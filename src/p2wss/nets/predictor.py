@@ -64,9 +64,12 @@ class Point2WssPredictor:
 
         x and y of cloud and rings share any local frame; the first ring is the exterior, counter-clockwise,
         without a repeated first vertex. Edges of courtyards get the median slope of the exterior's edges (paper,
-        section 4.3: a sequence has one ring). No cloud is empty, and no exterior has more than ``max_num_vertices``.
+        section 4.3: a sequence has one ring).
+
+        Raises ``ValueError`` for an empty cloud or too many vertices.
         """
         exterior = [np.asarray(r[0], np.float32) for r in rings]
+        self._check(points_m, exterior)
         height = np.full(len(points_m), np.nan)
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
         for index, (heights, angles) in self._for_each(points_m, exterior, self._decode):
@@ -91,6 +94,7 @@ class Point2WssPredictor:
         heights (b,), footprints [(v, 2)] in the frame and vertex order of the arguments, and angles [(v,)].
         """
         exterior = [np.asarray(ring, np.float32) for ring in footprints_m]
+        self._check(points_m, exterior)
         height = np.full(len(points_m), np.nan)
         xy: list[np.ndarray] = [np.full(ring.shape, np.nan) for ring in exterior]
         angle: list[np.ndarray] = [np.full(len(ring), np.nan) for ring in exterior]
@@ -105,6 +109,13 @@ class Point2WssPredictor:
                 shift = exterior[i][0] - first[row]
                 height[i], angle[i], xy[i] = heights[row], angles[row, :num], vertices[row, :num] + shift
         return height, xy, angle
+
+    def _check(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> None:
+        for i, (points, ring) in enumerate(zip(points_m, exterior, strict=True)):
+            if not len(points):
+                raise ValueError(f"building {i} has no points")
+            if not 3 <= len(ring) <= self.max_num_vertices:
+                raise ValueError(f"building {i} has {len(ring)} vertices, not 3 to {self.max_num_vertices}")
 
     def _for_each(
         self,

@@ -283,6 +283,10 @@ def test_a_footprint_beyond_the_number_format_has_no_prediction(
     prediction = predictor.predict(clouds, rings)
     assert np.flatnonzero(np.isnan(prediction.eave_height_m)).tolist() == [3]
     assert np.isnan(prediction.angle_deg[3]).all()
+    with pytest.raises(ValueError, match="building 0 has 9 vertices, not 3 to 8"):
+        predictor.predict(clouds[:1], [[np.zeros((9, 2))]])
+    with pytest.raises(ValueError, match="building 0 has no points"):
+        predictor.predict([np.zeros((0, 3))], rings[:1])
 
 
 @pytest.mark.parametrize("signs_visible", [True, False])
