@@ -286,6 +286,24 @@ def _json_lines(path: Path) -> Facts:
     return {"kind": "JSON lines", "num_lines": len(lines), "first": lines[:1], "last": lines[-1:]}
 
 
+def _glb(path: Path) -> Facts:
+    content = path.read_bytes()
+    tree = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    extras = tree["asset"].get("extras", {})
+    shapes = [shape["primitives"] for shape in tree.get("meshes", [])]
+    corners = [tree["accessors"][each["indices"]]["count"] for shape in shapes for each in shape]
+    return {
+        "kind": "meshes, binary glTF",
+        "software": tree["asset"].get("generator"),
+        "crs": _crs(extras.get("crs")),
+        "origin_m": extras.get("origin_m"),
+        "num_meshes": len(shapes),
+        "num_triangles": sum(corners) // 3,
+        "materials": [material["name"] for material in tree.get("materials", [])],
+        **_provenance(extras.get("p2wss")),
+    }
+
+
 def _city(parts: list[Facts]) -> Facts:
     metadata = parts[0].get("metadata", {})
     city_objects = [item for part in parts for item in part.get("CityObjects", {}).values()]
@@ -314,6 +332,7 @@ _READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
     (_RASTERS, _raster),
     (_CLOUDS, _cloud),
     ((".safetensors",), _weights),
+    ((".glb",), _glb),
     ((".jsonl",), _json_lines),
     ((".json",), _json),
 ]

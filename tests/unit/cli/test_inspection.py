@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import rasterio
 import torch
+from drawn_towns.planes import mesh_of
 from places import MINI, SHARED
 from safetensors.torch import save_file
 
@@ -24,6 +25,8 @@ from p2wss.cli import main
 from p2wss.cli.inspection import describe, text
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.formats import gpkg
+from p2wss.formats.glb import glb
+from p2wss.formats.meshes import Body, frame_around
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
@@ -140,6 +143,17 @@ def test_json(tmp_path: Path) -> None:
     assert facts["num_rows"] == 2 and facts["provenance"] == SHOWN
     (tmp_path / "m.jsonl").write_text('{"step": 1}\n{"step": 2}\n')
     assert describe(tmp_path / "m.jsonl")["last"] == [{"step": 2}]
+
+
+def test_glb(tmp_path: Path) -> None:
+    vertex_m = np.add([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [652000.0, 6861000.0, 100.0])
+    triangle = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    body = Body.of_building("a", mesh_of(vertex_m, triangle))
+    (tmp_path / "a.glb").write_bytes(glb([body], frame_around([body], "EPSG:2154"), dict(FACTS)))
+    facts = describe(tmp_path / "a.glb")
+    assert facts["kind"] == "meshes, binary glTF" and facts["provenance"] == SHOWN
+    assert facts["crs"] == "RGF93 v1 / Lambert-93 (EPSG:2154)" and facts["origin_m"] == [652000, 6861000, 100]
+    assert facts["num_meshes"] == 1 and facts["num_triangles"] == 4 and facts["materials"] == ["concrete"]
 
 
 def test_text_has_one_fact_per_line() -> None:
