@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -89,8 +90,7 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
             if lods:
                 text = "warning: %s: no geometry is of level of detail 2, and no other is read; its levels are %s"
                 log.warning(text, path, ", ".join(sorted(lods)))
-        stated = documents[0].get("metadata", {}).get("referenceSystem")
-        return list(by_id.values()), None if stated is None else pyproj.CRS.from_user_input(stated)
+        return list(by_id.values()), _stated_crs(documents)
 
 
 def is_cityjson(path: str | Path) -> bool:
@@ -100,7 +100,7 @@ def is_cityjson(path: str | Path) -> bool:
     with open(path, "rb") as file:
         begin = file.read(_NUM_SHOWN)
         file.seek(max(0, Path(path).stat().st_size - _NUM_SHOWN))
-        return b'"CityJSON"' in begin + file.read()
+        return re.search(rb'"type"\s*:\s*"CityJSON"', begin + file.read()) is not None
 
 
 def plans(path: str | Path) -> gpd.GeoDataFrame:
@@ -133,8 +133,7 @@ def plans(path: str | Path) -> gpd.GeoDataFrame:
                 rows.append(single | {"building_id": name})
         if not rows:
             raise InputError(f"{path}: has no buildings")
-        stated = documents[0].get("metadata", {}).get("referenceSystem")
-        return gpd.GeoDataFrame(rows, geometry=shapes, crs=stated)
+        return gpd.GeoDataFrame(rows, geometry=shapes, crs=_stated_crs(documents))
 
 
 def _in_plan(rings: Any, vertex_m: np.ndarray) -> shapely.Polygon:
@@ -217,6 +216,11 @@ def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.n
         transform = objects[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
         scale = np.array(transform["scale"], float).reshape(3)
         return objects, scale, np.array(transform["translate"], float).reshape(3)
+
+
+def _stated_crs(documents: list[dict[str, Any]]) -> pyproj.CRS | None:
+    stated = documents[0].get("metadata", {}).get("referenceSystem")
+    return None if stated is None else pyproj.CRS.from_user_input(stated)
 
 
 def _content(

@@ -92,17 +92,7 @@ def scene_files(
         "origin_wgs84": {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg},
         "axes": AXES,
         "frequency_ghz": frequency_ghz,
-        "materials": {
-            name: {
-                "itu_r_p2040": MATERIALS[name].itu_type,
-                "edition": EDITION,
-                "relative_permittivity": round(values.relative_permittivity, 6),
-                "conductivity_s_per_m": round(values.conductivity_s_per_m, 6),
-                "valid_ghz": list(values.valid_ghz),
-                "held_from_ghz": values.held_from_ghz,
-            }
-            for name, values in materials.items()
-        },
+        "materials": {name: _facts(name, values) for name, values in materials.items()},
         "shapes": {
             name: {
                 "file": f"meshes/{name}.ply",
@@ -277,6 +267,17 @@ def _bsdf(name: str, values: Properties, frequency_ghz: float) -> list[str]:
         *(f"        {row}" for row in rows),
         "    </bsdf>",
     ]
+
+
+def _facts(name: str, values: Properties) -> dict[str, Any]:
+    return {
+        "itu_r_p2040": MATERIALS[name].itu_type,
+        "edition": EDITION,
+        "relative_permittivity": round(values.relative_permittivity, 6),
+        "conductivity_s_per_m": round(values.conductivity_s_per_m, 6),
+        "valid_ghz": list(values.valid_ghz),
+        "held_from_ghz": values.held_from_ghz,
+    }
 
 
 def _wgs84(frame: Frame) -> tuple[float | None, float | None]:

@@ -12,6 +12,7 @@ import numba
 from llvmlite.binding import get_host_cpu_name
 
 from p2wss.mesh.contraction import contracted
+from p2wss.reconstruction.running.processes import can_fork
 from p2wss.skeleton.compiled import alone_ahead, cache_folder, is_stored
 from p2wss.storage.log_lines import log
 
@@ -32,7 +33,7 @@ def compile_once() -> None:
     The run compiles what is missing, whatever happens here. A process with threads is not forked: a fork has none of
     them, but what they had locked.
     """
-    can_share = num_processes() > 1 and hasattr(os, "fork") and threading.active_count() == 1
+    can_share = num_processes() > 1 and can_fork() and threading.active_count() == 1
     if not can_share or cache_folder() is None or is_stored(contracted):
         return
     from p2wss.reconstruction.warm_up import warm_product

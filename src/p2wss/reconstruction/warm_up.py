@@ -53,8 +53,10 @@ def _quietly(part: tuple[int, Callable[[], None]]) -> None:
     level = log.level
     # the first says how far all are
     log.setLevel(logging.WARNING if number else level)
-    function()
-    log.setLevel(level)
+    try:
+        function()
+    finally:
+        log.setLevel(level)
 
 
 def _fit() -> None:

@@ -434,7 +434,7 @@ def test_a_plan_without_ground_surfaces_is_what_all_surfaces_cover(tmp_path: Pat
 
 def test_cityjson_without_buildings_and_geojson(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    path.write_text('{"type": "FeatureCollection", "features": []}')
+    path.write_text('{"type": "FeatureCollection", "source": "CityJSON", "features": []}')
     assert not cityjson_read.is_cityjson(path) and not cityjson_read.is_cityjson(tmp_path / "b.json")
     path.write_text('{"type": "CityJSON", "CityObjects": {}, "vertices": []}')
     assert cityjson_read.is_cityjson(path)

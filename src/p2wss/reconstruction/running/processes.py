@@ -34,6 +34,11 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 
+def can_fork() -> bool:
+    """Whether this process can have forks."""
+    return "fork" in get_all_start_methods() and not current_process().daemon
+
+
 class Shared(Generic[S, T]):
     """``function`` of each value, by forks of this process: all but one of ``num_processes`` from now on, the last
     while this one waits, as it iterates over the results. Each takes the next value, or few values, that none has
@@ -62,8 +67,7 @@ class Shared(Generic[S, T]):
         self._step = len(values) // _MAX_PIPED + 1
         os.write(source, np.arange(0, len(values), self._step, dtype="<u4").tobytes())
         os.close(source)
-        can_fork = "fork" in get_all_start_methods() and not current_process().daemon
-        self._num_processes = min(num_processes, len(values)) if can_fork else 0
+        self._num_processes = min(num_processes, len(values)) if can_fork() else 0
         self._forks: dict[Connection, _Fork[T]] = {}
         for _ in range(1, self._num_processes):
             self._start()
