@@ -127,11 +127,9 @@ def reconstruct(
 
     settings = as_config(config, detail)
     inputs = check_inputs(cloud, footprints, settings, crs, terrain, model, lines=lines)
-    from p2wss.reconstruction import scene  # only now, as it takes a second
+    from p2wss.reconstruction import run  # only now, as it takes a second
 
-    return scene.reconstruct(
-        inputs, settings, scene.Selection(ids, bbox), scene.Machine(threads=threads), progress
-    )
+    return run.reconstruct(inputs, settings, run.Selection(ids, bbox), run.Machine(threads=threads), progress)
 
 
 @public

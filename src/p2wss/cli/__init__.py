@@ -58,8 +58,9 @@ _COMPLETE = "_P2WSS_COMPLETE"
 
 @contextmanager
 def importing(*without: str) -> Iterator[None]:
-    """Imports within leave no garbage, and searching it would take a tenth of the start. without: packages that others
-    import if they are installed, for what this command does not do."""
+    """Turn off garbage collection for imports in the block: they leave no garbage, and the search would take a tenth of
+    the start. without: packages hidden in the block, which other packages import if they are installed, but this
+    command does not need."""
     gc.disable()
     hidden = set(without) - sys.modules.keys()
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
@@ -80,7 +81,7 @@ class Program(click.Group):
         return list(self.commands)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of its module."""
+        """The command, imported from its module; None if there is no such command."""
         if cmd_name not in self.commands:
             return None
         name = cmd_name.replace("-", "_")
@@ -107,8 +108,8 @@ def program() -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command. Returns the exit status: that of the command, 0 unless it says otherwise, or 2 for an error that
-    the user can fix."""
+    """Run one command. Returns the exit status: the one that the command returns, else 0; 2 for an error that the user
+    can fix."""
     # numpy's matrices are small here: threads that wait for each other, spinning, only cost time
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # pydantic would look for plugins in all packages that are installed
@@ -136,7 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (KeyboardInterrupt, SystemError) as error:
-        # the second is what compiled code makes of the first
+        # compiled code raises SystemError, caused by KeyboardInterrupt
         if not isinstance(error.__cause__ or error, KeyboardInterrupt):
             raise
         return _failed("interrupted", 128 + signal.SIGINT)
@@ -147,7 +148,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def with_files(words: Iterable[str]) -> list[str]:
-    """The words, with the lines of FILE for @FILE: Linux starts no program with more than 2 MB of arguments."""
+    """The arguments, with the lines of FILE in place of @FILE: Linux starts no program with more than 2 MB of
+    arguments."""
     result: list[str] = []
     for word in words:
         if not word.startswith("@"):
@@ -167,7 +169,7 @@ def _failed(text: str, status: int = 2) -> int:
 
 
 def _message(error: InputError | click.UsageError) -> str:
-    """One line, with the command whose help explains the arguments."""
+    """The error in one line, with the command whose help explains the arguments."""
     if isinstance(error, InputError):
         return str(error)
     text = " ".join(error.format_message().split())

@@ -1,5 +1,5 @@
-"""What can be wrong with the arguments of ``p2wss reconstruct`` is reported before anything slow is imported or read:
-from names, signatures and headers of the files."""
+"""Checks of the arguments of ``p2wss reconstruct`` before anything slow is imported or read. They use names, signatures
+and headers of the files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from p2wss.storage.files import check_folder
 
 
 def check(out: Path, terrain: Path | None, tile: str | None, config: Config) -> None:
-    """Check what is no input.
+    """Check the arguments that are no inputs.
 
     Raises :class:`InputError`, in one line, for an argument that cannot work; logs a warning for one without effect.
     """
@@ -28,7 +28,7 @@ def check(out: Path, terrain: Path | None, tile: str | None, config: Config) -> 
         log.warning("warning: --vegetation has no effect on files: none of %s has plants", names)
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
-    if terrain is not None and "report" not in outputs:  # whose page shows it
+    if terrain is not None and "report" not in outputs:  # the page of the report shows it
         raise InputError(
             f"--terrain {terrain}: {names} cannot hold a terrain; add a mesh format to --outputs, such as"
             " glb, or omit --terrain"
@@ -40,8 +40,8 @@ def check(out: Path, terrain: Path | None, tile: str | None, config: Config) -> 
 
 
 def check_out(out: Path, config: Config) -> None:
-    """Raise :class:`InputError` if ``out`` is no folder, or named as a file, or no file can be written there,
-    ``ModuleNotFoundError`` for a format that needs a package that is missing."""
+    """Raise :class:`InputError` if ``out`` is no folder, is named like a file, or cannot be written to, and
+    ``ModuleNotFoundError`` if a format needs a missing package."""
     if config.reconstruct.writes_parquet:
         import pyarrow.parquet  # noqa: F401
     check_folder(out, OUTPUT_SUFFIXES.values())

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from p2wss.reconstruction.scene import Scene
 
 CITY = (".json", ".jsonl")
-# of footprints without points, beyond which the cloud may be of another place
+# share of footprints without points above which the cloud may be of another place
 MAX_BARE_SHARE = 0.05
 
 config_option = option(
@@ -113,10 +113,10 @@ checkpoints_option = file_option(
 def write_trained(
     checkpoints: Path, out_metrics: Path, save: Callable[[str], None], extendable: bool = False
 ) -> None:
-    """At the end of a training: the metrics, the weights by ``save(metrics)``, and no checkpoints any more, unless
-    another training may continue from them.
+    """At the end of a training, write the metrics, write the weights with ``save(metrics)``, and remove the
+    checkpoints. extendable: keep them, as another training may continue from them.
 
-    Of several processes the first writes.
+    Of several processes only the main one writes.
     """
     from p2wss.nets import distributed
     from p2wss.training.state import METRICS_NAME, remove_checkpoints
@@ -139,10 +139,11 @@ def write_run(
     formats: list[str] | None = None,
     name: str | None = None,
 ) -> int:
-    """Write the files of a run that began at ``start_s``, and log what was written, how many buildings are what, which
-    to check, and what to do next.
+    """Write the files of a run that began at ``start_s``. Log the files, the numbers of buildings, which buildings to
+    check, and what to do next.
 
-    Returns the exit status: 1 if a file is missing, or too many buildings, because of internal errors."""
+    Returns the exit status: 1 if internal errors left out a file, or too many buildings.
+    """
     listed = sums_of(out / f"{name or scene.name}.json")
     earlier = {path for path in (*listed["sha256"], *listed.get("earlier", ())) if (out / path).is_file()}
     written = scene.write(out, formats, name)
@@ -183,19 +184,20 @@ def write_run(
 
 
 def city_files(folder: Path) -> list[Path]:
-    """The CityJSON files in a folder; none of what is no folder."""
+    """The CityJSON files in a folder; empty if the path is no folder."""
     return [each for each in sorted(folder.glob("*.city.json*")) if each.suffix in CITY]
 
 
 class Sums(TypedDict):
-    """Of a summary: SHA-256 of the files of the run, and the names of those that earlier runs left."""
+    """The part of a summary about files: SHA-256 of the files of the run, and names of the files that earlier runs
+    left."""
 
     sha256: dict[str, str]
     earlier: NotRequired[list[str]]
 
 
 def sums_of(summary: Path) -> Sums:
-    """What the summary of a run says; nothing without it, or if it is another file of this name."""
+    """The checksums in the summary of a run; empty without a summary, or if the file is no summary."""
     try:
         listed: Sums = files.read_json(summary, Sums)
     except InputError:

@@ -12,7 +12,8 @@ from p2wss.cli.parser import Command, option
 def config(schema: bool) -> None:
     """Print every setting with its default, unit and description, as YAML.
 
-    A config needs only those that differ: p2wss config > my.yaml, delete the rest, p2wss reconstruct --config my.yaml.
+    A config needs only the settings that differ: p2wss config > my.yaml, delete the rest, p2wss reconstruct --config
+    my.yaml.
     """
     from p2wss.config import generate
 

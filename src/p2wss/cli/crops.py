@@ -92,7 +92,7 @@ def _write_crops(
 def crops_labels(crops: Path, split: str, out: Path) -> None:
     """Label crops that have no labels by the parametric roofs that are fitted to their points, to train on them.
 
-    Without a fitted roof, as of too few points, there is no label, and the crop is left out.
+    A crop for which no roof is fitted, for instance one with too few points, is left out.
     """
     from p2wss.eval.cases import from_crops
     from p2wss.reconstruction.product import reconstruct_buildings

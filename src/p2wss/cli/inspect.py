@@ -38,7 +38,7 @@ from p2wss.storage.errors import InputError
 def inspect(files: tuple[Path, ...], verify: bool, as_json: bool, crs: str | None, config: Config) -> int:
     """Describe the contents of files, or clouds, footprints and terrain together before they are reconstructed.
 
-    Of inputs that p2wss reconstruct would refuse, the reason follows, and the exit status is 2.
+    If p2wss reconstruct would refuse the inputs, the reason follows, and the exit status is 2.
     """
     from p2wss.cli import inspection
 

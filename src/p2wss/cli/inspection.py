@@ -1,4 +1,4 @@
-"""Describe the contents of files: those that p2wss writes, and those of IGN that it reads."""
+"""Describe the contents of files that p2wss writes, and of files of IGN that it reads."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ INTACT = "intact"
 def check(path: Path) -> Facts:
     """Verify a file: its name, and as ``checksum`` :data:`INTACT` or a description of the problem.
 
-    Of a manifest, the shards that it lists are checked too, and of the summary of a reconstruction the files that were
-    delivered with it.
+    The shards that a manifest lists are checked, too, and so are the files that the summary of a reconstruction lists.
     """
     try:
         intact = None if path.is_dir() else integrity.is_intact(path)  # a file geodatabase is a folder
@@ -53,7 +52,7 @@ def check(path: Path) -> Facts:
 
 
 def _check_listed(folder: Path, sums: dict[str, str]) -> str:
-    """:data:`INTACT`, or which of the files with these SHA-256 are not what was written."""
+    """:data:`INTACT`, or the problems of the files that do not have the stated SHA-256."""
     wrong = []
     for name, stated in sums.items():
         try:
@@ -147,7 +146,7 @@ def _parquet(path: Path) -> Facts:
 
 
 def _other(path: Path) -> Facts:
-    """Of a vector file of another type, which GDAL may know."""
+    """Describe a vector file of another type, if GDAL knows the type."""
     import pyogrio
 
     from p2wss.footprints.vector_files import layers_of

@@ -17,8 +17,8 @@ PATH = click.Path(path_type=Path)
 
 
 class Option(click.Option):
-    """An option. key: of the setting that it overrides. takes_list: its values are all words up to the next option.
-    more: not an option for every day."""
+    """An option. key: the setting that it overrides. takes_list: its values are all words up to the next option. more:
+    shown only with --help-all."""
 
     def __init__(
         self, names: list[str], key: str = "", takes_list: bool = False, more: bool = False, **options: Any
@@ -27,7 +27,7 @@ class Option(click.Option):
         self.key, self.takes_list, self.more = key, takes_list, more
 
     def process_value(self, ctx: click.Context, value: Any) -> Any:
-        """The value; the next option is none."""
+        """The value. An option in its place is an error."""
         if isinstance(value, str) and value.startswith("--"):
             raise click.BadOptionUsage(self.opts[0], f"Option '{self.opts[0]}' requires an argument.", ctx)
         return super().process_value(ctx, value)
@@ -40,7 +40,7 @@ def _show_all(context: click.Context, parameter: click.Parameter, value: bool) -
         context.exit()
 
 
-# of a context: its help has the options that are not for every day
+# key in a context whose help shows all options
 ALL_OPTIONS = "p2wss.all_options"
 _help_all = Option(
     ["--help-all"],
@@ -53,8 +53,8 @@ _help_all = Option(
 
 
 class Command(click.Command):
-    """A command, whose parameter ``config`` is the config of ``--config`` and of the options for its settings, over
-    ``defaults``: those of this command alone."""
+    """A command. Its parameter ``config`` is the config from ``--config`` and from options for settings, on top of
+    ``defaults``, the defaults of this command."""
 
     def __init__(self, *args: Any, defaults: dict[str, Any] | None = None, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -71,13 +71,13 @@ class Command(click.Command):
         return rest
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """The parameters; with --help-all where the help leaves out options."""
+        """The parameters, with --help-all if the help leaves out options."""
         return super().get_params(ctx) + [_help_all] * any(
             getattr(each, "more", False) for each in self.params
         )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options for every day, and with --help-all the others."""
+        """Write the options for every day; with --help-all also the others."""
         options = [option for option in self.get_params(ctx) if isinstance(option, click.Option)]
         for title, more in (("Options", False), ("More options", True))[: 1 + (ALL_OPTIONS in ctx.meta)]:
             chosen = [option for option in options if getattr(option, "more", False) == more]
@@ -106,7 +106,7 @@ class Names(click.ParamType):
         self.choices = choices
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
-        """The names, without spaces around them."""
+        """The names in the list, without spaces around them."""
         return (
             value if isinstance(value, list) else [part.strip() for part in value.split(",") if part.strip()]
         )
@@ -129,8 +129,8 @@ def file_option(name: str, help: str, required: bool = True, takes_list: bool = 
 
 
 def setting(key: str, *names: str, more: bool = True, **options: Any) -> Decorator[Any]:
-    """Add an option that overrides the setting ``key``, with the name, the type, the description and the default of
-    the key; ``default`` where the command has another one."""
+    """Add an option that overrides the setting ``key``, with the name, type, description and default of the setting.
+    default: another default, if the command has one."""
     *sections, last = key.split(".")
     section: Any = Config
     for name in sections:
@@ -160,8 +160,8 @@ def _document(key: str, value: Any) -> dict[str, Any]:
 
 
 def _repeated(options: Iterable[Option], words: Iterable[str]) -> list[str]:
-    """The words with ``--shards A --shards B`` for ``--shards A B``, as click takes one value per option, and with
-    several words for the one word ``"A B"`` of an option that takes several numbers."""
+    """The words in the form that click reads. Click takes one value per option: ``--shards A B`` becomes ``--shards A
+    --shards B``. For an option that takes several numbers, the one word ``"A B"`` becomes several words."""
     named = {name: option for option in options for name in option.opts}
     result: list[str] = []
     current = ""

@@ -24,7 +24,7 @@ from p2wss.cli.parser import PATH, Command, Names, option, setting
 from p2wss.config import Config, DeviceName
 from p2wss.storage import files
 
-# settings of FOOTPRINTS, and --tile, which selects some of them
+# options that apply only to FOOTPRINTS, and --tile, which selects some of the footprints
 OF_FOOTPRINTS = (
     "registration",
     "layer",
@@ -34,7 +34,7 @@ OF_FOOTPRINTS = (
     "keep_columns",
     "tile",
 )
-# hidden while laspy and pyogrio are imported: for clouds at URLs, and for what pyogrio gives as tables
+# packages hidden while laspy and pyogrio are imported: they need them for clouds at URLs and for tables only
 WITHOUT = ("requests", "pandas", "geopandas", "pyarrow")
 
 
@@ -143,11 +143,11 @@ def reconstruct(
     may_be_empty = chosen["tile"] is not None
     checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty, lines)
     with importing():
-        from p2wss.reconstruction import scene  # only now, as it takes a second
-    machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
+        from p2wss.reconstruction import run  # only now, as it takes a second
+    machine = run.Machine(device, threads, argument_checks.existing_folder(out))
     if chosen["bbox"] is not None:
         from p2wss.fetching.area import bounds_of_bbox  # which loads pandas
 
         chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
-    with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
+    with run.reconstruct(checked, config, run.Selection(**chosen), machine) as result:
         return write_run(out, result, start, name=name)

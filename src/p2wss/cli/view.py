@@ -32,7 +32,7 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
     """Show buildings in 3D with points and attributes: one HTML page that needs no internet."""
     cities, clouds = [], []
     for path in paths:
-        # of CityGML, the reader says how to convert it
+        # the reader's error says how to convert CityGML
         if (inside := city_files(path)) or path.suffix in (*CITY, ".gml", ".xml"):
             cities += inside or [path]
         else:
@@ -41,7 +41,8 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
         raise InputError(f"{paths[0]}: no CityJSON file, nor a folder with one (.city.json, .city.jsonl)")
     page, *others = {each.with_name(each.stem.removesuffix(".city") + ".html") for each in cities}
     is_one_run = len(paths) == 1 and paths[0].is_dir() and not others
-    # the page of a run has the points, too, and how footprints were moved; one of an earlier run has other buildings
+    # the page of a run also has the points, and how footprints were moved; the page of an earlier run has other
+    # buildings
     if not (is_one_run and out is None and _are_of_one_run(page, cities[0])):
         page = out or cities[0].with_name("view.html")
         files.write_text(page, _page(cities, clouds, crs, config.reconstruct.height_unit))
@@ -51,7 +52,7 @@ def view(paths: tuple[Path, ...], out: Path | None, opens: bool, crs: str | None
 
 
 def _are_of_one_run(*paths: Path) -> bool:
-    """Whether all are as the summary beside them has them, which has the name of the first."""
+    """Whether all files have the checksums in the summary beside them, which is named after the first file."""
     sums = sums_of(paths[0].with_suffix(".json"))["sha256"]
     return all(path.exists() and sums.get(path.name) == files.sha256(path) for path in paths)
 

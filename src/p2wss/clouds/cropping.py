@@ -33,8 +33,9 @@ class _Grid(NamedTuple):
 
 
 class _Sorted(NamedTuple):
-    """Points by cell, row by row: the cell numbered c has ``start[c - 1]:start[c]``. number: int32 (rows, columns), of
-    the cells that a polygon needs, from 1 on. order: their indices. x, y: float64."""
+    """Points sorted by cell, row by row. Only cells that a polygon needs have a number, from 1 on: the cell with the
+    number c has the points ``start[c - 1]:start[c]``. number: int32 (rows, columns), 0 for cells that no polygon needs.
+    order: indices of the points. x, y: float64, coordinates in this order."""
 
     number: np.ndarray
     start: np.ndarray
@@ -88,8 +89,11 @@ def _in_halves(
     among: np.ndarray | None,
     is_far: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same, first without the polygons in the mask, then of these: cells for all would be so large that each
-    polygon of a town is compared with all points of it, because of one that is far away."""
+    """The result of :func:`crop_points`, first for the polygons that are not ``is_far``, then for those that are.
+
+    With one grid around distant groups of polygons, cells would be so large that each polygon of a town is compared
+    with all points of the town.
+    """
     pieces = []
     for rows in (np.flatnonzero(~is_far), np.flatnonzero(is_far)):
         some = Polygons.from_rings([polygons.rings(row) for row in rows.tolist()])
@@ -121,12 +125,12 @@ def _cell_boxes(xy: np.ndarray, vertex_offset: np.ndarray, grid: _Grid, buffer_m
 
 @entry
 def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, among: np.ndarray) -> _Sorted:
-    """Counting sort of the points by cell, row by row, without those in cells that no polygon needs.
+    """Counting sort of the points by cell, row by row, without the points in cells that no polygon needs.
 
     among: bool (num_points,), mask of the points to consider; empty for all.
     """
     rows, columns = grid.rows, grid.columns
-    # houses of a valley are few in many cells
+    # only cells near a polygon get a number: a valley has few houses and many cells
     number = np.zeros((rows, columns), np.int32)
     for p in range(len(boxes)):
         for row in range(boxes[p, 2], boxes[p, 3] + 1):
@@ -267,7 +271,10 @@ def seen_share(polygon: shapely.Polygon, x_m: np.ndarray, y_m: np.ndarray) -> fl
 def seen_share_of_cells(
     inside: np.ndarray, low_m: tuple[int, int], x_m: np.ndarray, y_m: np.ndarray
 ) -> float:
-    """The same of cells ``inside``, bool (rows, columns), the first of which begins at ``low_m``."""
+    """Share of the cells ``inside``, bool (rows, columns), that have one of the points (n,).
+
+    low_m: south-west corner of the first cell, whole metres. Without any cell inside: 1 with a point, else 0.
+    """
     if not inside.any():
         return float(len(x_m) > 0)
     column, row = np.floor(x_m).astype(int) - low_m[0], np.floor(y_m).astype(int) - low_m[1]

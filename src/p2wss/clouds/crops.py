@@ -21,23 +21,23 @@ from p2wss.data.las_classes import (
 )
 from p2wss.skeleton.types import Polygons, numbered
 
-# metres from the footprint within which points of class ground are searched, then the lowest points, each time the next
-# one if there are too few; all that is known of a building is so far from it
+# distances from the footprint in metres: of ground points, the next one if there are too few points within the first;
+# of the lowest points, likewise; of everything that is known of a building
 _GROUND_RINGS_M, LOWEST_RINGS_M, GROUND_REACH_M = (1.0, 4.0), (32.0, 52.0), 64.0
 _MIN_GROUND_POINTS = 5
-# the lowest points are those of squares with this side; the share of them that the ground is above of, the others being
-# on roofs where no ground is seen; the distance in metres within which they count the same, and the variance of places,
-# square metres, below which they show no slope; chosen on drawn old towns
+# side of the squares, each of which gives its lowest point; share of these points that lie below the ground plane, as
+# others may be on roofs where no ground is seen; distance in metres within which points weigh about the same; variance
+# of the places, square metres, below which they show no slope. Chosen on drawn old towns
 _SQUARE_M, _BELOW_SHARE, _SAME_M, _NO_SLOPE_M2 = 8.0, 0.3, 8.0, 1.0
 _NUM_ROUNDS, _NOISE_M = 10, 0.05
-# of lowest points that have class ground or none, the share below which class ground is that of strays on roofs, and
-# metres above such ground from which others do not speak against it: those of roofs; set by hand, as of real towns the
-# share is 0.83 at least, of a drawn one with strays 0.1
+# least share of class ground among the lowest points that have class ground or none: below it, the ground points are
+# strays on roofs; metres above that ground from which points do not count here, as they are on roofs. Set by hand: real
+# towns have a share of at least 0.83, a drawn town with strays has 0.1
 _SEEN_SHARE, _NOT_GROUND_M = 0.25, 2.0
 # quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
 _FOOT_QUANTILE = 0.02
-# a building with fewer points in its footprint needs what the roofs so many metres around it show; chosen on half A of
-# Delft: with more, roofs are nearer to the points, and have fewer triangles, without the neighbours
+# a building with fewer points in its footprint also uses the points on roofs within this distance in metres. Chosen on
+# half A of Delft: buildings with more points get closer roofs with fewer triangles without their neighbours
 FEW_POINTS, AROUND_M = 25, 12.0
 
 
@@ -46,10 +46,11 @@ class CloudCrops:
     """The points of a cloud on or near each of n polygons: polygon p has the pairs ``offset[p]:offset[p + 1]``.
 
     point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for points in the buffer around
-    the footprint. ground_z_m: float64 (n,), z of the ground at the building (:func:`ground_height`). If the cloud
-    has no ground there, it is the 2 % quantile of the heights of the building's points; NaN only without points.
-    is_foot: bool (n,), whether it is that quantile: at best, the foot of a wall. guess_sd_m: (n,), the standard
-    deviation of the points that it is from where hardly any has class ground, so that all may be on roofs; or NaN.
+    the footprint. ground_z_m: float64 (n,), z of the ground at the building (:func:`ground_height`). If the cloud has
+    no ground there, it is the 2 % quantile of the heights of the building's points; NaN only without points. is_foot:
+    bool (n,), whether ``ground_z_m`` is that quantile: at best, the foot of a wall. guess_sd_m: float64 (n,), NaN
+    unless the ground is a guess, because hardly any of the lowest points around the building has class ground and all
+    may be on roofs; then the standard deviation of their heights.
     """
 
     point: np.ndarray
@@ -76,7 +77,9 @@ def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cloud
 
 
 def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[int, np.ndarray]:
-    """By polygons with few points, those of class building beside them: indices (k,) into the cloud."""
+    """For each polygon with few points in it: the points of class building outside it and at most :data:`AROUND_M`
+    away, as indices (k,) into the cloud. The keys are indices of polygons; polygons without points or with enough of
+    them are absent."""
     polygon = np.repeat(np.arange(len(polygons)), np.diff(cropped.offset))
     count = np.bincount(polygon[cropped.inside], minlength=len(polygons))
     few = np.flatnonzero((count > 0) & (count < FEW_POINTS))
@@ -94,13 +97,17 @@ def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[
 def ground_height(
     cloud: Cloud, polygons: Polygons, first_ring: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """z of the ground around each polygon, float64 (num_polygons,), NaN if the cloud has no ground there; the standard
-    deviation of the points that it is from where hardly any has class ground, NaN elsewhere.
+    """(z of the ground around each polygon, NaN if the cloud has no ground there; standard deviation of the heights of
+    the lowest points around it where the ground is a guess, else NaN), both float64 (num_polygons,).
 
-    It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it, or at most 4 m
-    away if these are fewer than five. If there are few again, it is the :func:`low_height` of the lowest points at most
-    32 m away, or 52 m (where one is enough), of ground or without class. So it is where most points in the ring have no
-    class and are not well above, if that holds for the lowest points, too: ground points are strays then, as on roofs.
+    The ground is the median of the ground points (class 2) outside the footprint and at most 1 m away, or at most 4 m
+    away if fewer than five are within 1 m. With fewer than five within 4 m it is :func:`low_height` of the
+    :func:`lowest_points` at most 32 m away, or at most 52 m away (where one is enough) if fewer than five are that
+    near.
+
+    Ground points may be strays, as on roofs. They are suspected where a ring has more points without class than ground
+    points, with a median at most 2 m above the median of the ground points. They are strays if class ground is also
+    rare among the lowest points less than 2 m above that median. Then the ground is :func:`low_height`, and a guess.
     first_ring: the result of :func:`crop_points` for 1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
@@ -159,10 +166,11 @@ def lowest_points(cloud: Cloud) -> np.ndarray:
 
 
 def low_height(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:
-    """Mean z, in whole millimetres, at places (k, 2) of the ground below points of a cloud, indices (m,): the plane
-    that a share of them is below of, those that are near counting more. It is found by reweighted least squares.
+    """z of the ground at places (k, 2), in whole millimetres, estimated from points of a cloud with the indices
+    ``point`` (m,): the height of a plane at the mean of the places.
 
-    The ground of a hillside is neither the mean nor the lowest of the points that are seen of it.
+    The plane is a quantile regression, found by reweighted least squares: a fixed share of the points lies below it,
+    and near points weigh more. The ground of a hillside is neither the mean nor the minimum of the points seen there.
     """
     off_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], np.ones(len(point))])
     off_m[:, :2] -= xy_m.mean(axis=0)

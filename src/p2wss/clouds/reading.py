@@ -27,11 +27,12 @@ _SUFFIXES = (".las", ".laz")
 # headers may state bounds that are rounded
 _HEADER_MARGIN_M = 1.0
 _CHUNK_POINTS = 500_000
-# of a window of a COPC file with more, all points of the file are decoded instead, piece by piece
+# if a window of a COPC file has more points, the whole file is decoded instead, piece by piece
 _MAX_WINDOW_POINTS = 5_000_000
 _WEEK_S, _DAY_S = 604_800, 86_400
 _GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
-# raw GPS and Unix time, read as that, are 31 and 21 years late; dates of files are less wrong, but for those before LAS
+# raw GPS time and Unix time, read as adjusted standard GPS time, are 31 and 41 years late. Creation dates of files are
+# less wrong, except dates before the first version of LAS
 _AHEAD_DAYS, _FIRST_LAS = 3652, (date(2003, 5, 9) - GPS_EPOCH).days
 
 
@@ -39,9 +40,10 @@ _AHEAD_DAYS, _FIRST_LAS = 3652, (date(2003, 5, 9) - GPS_EPOCH).days
 class Cloud:
     """Points in a projected CRS.
 
-    x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. day: on
-    which the point was recorded or, if its time does not state it, its file was created: uint16 (n,), days since
-    :data:`GPS_EPOCH`, 0 or None if unknown. path: of the file of all points; None for those of several or of none.
+    x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. day: uint16
+    (n,), days from :data:`GPS_EPOCH` to the day on which the point was recorded or, if its time does not tell, to the
+    creation date of its file; 0 or None if unknown. path: the file of all points; None for points of several files or
+    of none.
     """
 
     x_m: np.ndarray
@@ -82,8 +84,9 @@ _NOTHING = Cloud(
 
 @dataclass(frozen=True)
 class CloudHeader:
-    """What the header of a file states. bounds: None where it states none, or others than those of its points. heights:
-    vertical CRS of its heights, which may be stated without a CRS. doubts: what is wrong with it, a line each."""
+    """What the header of a file states. bounds: None if it states none, or bounds that do not contain the first point.
+    heights: vertical CRS, which may be stated without a horizontal one. doubts: what is wrong with the header, a line
+    each."""
 
     path: Path
     num_points: int
@@ -98,7 +101,7 @@ class CloudHeader:
 
 
 def list_clouds(paths: Sequence[Path]) -> list[Path]:
-    """The files, each once, with the LAS and LAZ files of a folder in its place, in the order of their names.
+    """The files in the order given, each once. A folder is replaced by its LAS and LAZ files, sorted by name.
 
     Raises :class:`InputError` if a folder has no such file.
     """
@@ -146,8 +149,8 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
 
 
 def _is_rounded(first: CloudHeader, second: CloudHeader, step: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two files hold the same points in other steps (x, y and z), by their headers; :func:`repeated` knows the
-    others."""
+    """Whether two files with as many points may hold the same points, rounded to different steps: their headers state
+    other scales and, but for rounding, the same bounds. Points in equal steps are left to :func:`repeated`."""
     if first.bounds is None or second.bounds is None or np.array_equal(step, other):
         return False
     apart = np.abs(np.subtract(first.bounds, second.bounds))
@@ -155,7 +158,8 @@ def _is_rounded(first: CloudHeader, second: CloudHeader, step: np.ndarray, other
 
 
 def _num_held(header: laspy.LasHeader, size: int) -> int:
-    """The points for which a file of this size has room; 0 where they are compressed."""
+    """The number of points for which the file has room, if it is more than 1 % above the stated number; else 0. Also 0
+    for compressed points. size: of the file, bytes."""
     if header.are_points_compressed:
         return 0
     end = header.start_of_first_evlr if header.number_of_evlrs else size
@@ -177,11 +181,12 @@ def read_clouds(
     bounds: Bounds | None = None,
     classes: ClassSet = LAS,
 ) -> Cloud:
-    """The points of all files, in order, without noise (classes 7 and 18), withheld points and those that ``classes``
-    ignores; their classes become those of LAS. Points of several files are those of the first (:func:`repeated`).
+    """The points of all files, in order, without noise (classes 7 and 18), withheld points and classes that ``classes``
+    ignores; other classes become classes of LAS. A point that several files have is taken from the first of them
+    (:func:`repeated`).
 
-    bounds: (x_min, y_min, x_max, y_max) of the points to keep, edges included. COPC files are read by window, all
-    points of other files are decoded.
+    bounds: (x_min, y_min, x_max, y_max) of the points to keep, edges included. COPC files are read by window; of other
+    files, all points are decoded.
 
     Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
@@ -189,7 +194,8 @@ def read_clouds(
 
 
 def joined(chunks: Iterable[Cloud]) -> Cloud:
-    """The points of chunks of files, those of several files once; in metres."""
+    """The points of all chunks in one cloud, in their CRS. A point that several files have is kept once, and a message
+    says how many there are. The chunks of a file must follow each other."""
     parts = [_NOTHING, *chunks]
     names = ("x_m", "y_m", "z_m", "classification", "day")
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
@@ -206,11 +212,12 @@ def joined(chunks: Iterable[Cloud]) -> Cloud:
 def repeated(
     x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray, file: np.ndarray
 ) -> tuple[np.ndarray, Counter[tuple[int, int]]]:
-    """Whether a file before that of each of n points has it, too, bool (n,), and how many points the pairs of files
-    have in common.
+    """(bool (n,): the points that an earlier file has, too; number of points that each pair of files, the earlier
+    first, has in common).
 
-    Tiles may overlap, and a folder may have a tile as LAZ and as COPC. Such points count twice where roofs are fitted.
-    Equal points of one file stay, as a survey in steps of 0.1 m has many. file: numbers, ascending.
+    Tiles may overlap, and a folder may have a tile as LAZ and as COPC. Such points would count twice where roofs are
+    fitted. Equal points within one file stay, because a survey in steps of 0.1 m has many. file: int (n,), the number
+    of the file of each point, ascending from 0.
     """
     result = np.zeros(len(file), bool)
     first = np.flatnonzero(np.diff(file, prepend=-1))
@@ -240,7 +247,7 @@ def repeated(
 
 
 def tell_repeated(num_points: Counter[tuple[int, int]], paths: Sequence[Path | None]) -> None:
-    """Log how many points of files are in earlier ones, too. num_points: by the numbers of both files, the earlier
+    """Log how many points are in several files. num_points: by the numbers of both files in ``paths``, the earlier
     first."""
     if num_points:
         ((earlier, later), most), total = num_points.most_common(1)[0], num_points.total()
@@ -252,7 +259,8 @@ def tell_repeated(num_points: Counter[tuple[int, int]], paths: Sequence[Path | N
 def read_in_chunks(
     paths: Sequence[str | Path], bounds: Bounds | None = None, classes: ClassSet = LAS
 ) -> Iterator[Cloud]:
-    """The points of :func:`read_clouds`, about half a million at a time, or a window of a COPC file."""
+    """The points of :func:`read_clouds` in chunks of about half a million, or a window of a COPC file as a whole. A
+    point that several files have comes several times."""
     common = common_header(read_headers([Path(path) for path in paths]))
     crs = None if common is None else common.crs
     for path in paths:
@@ -262,7 +270,8 @@ def read_in_chunks(
 
 
 def extent(headers: Sequence[CloudHeader]) -> Bounds | None:
-    """Bounds of the first cloud with points: those that its header states, else those of its points."""
+    """Bounds of the first cloud that has any: as its header states them, else those of its points. None if no cloud has
+    points."""
     for header in headers:
         if header.bounds is not None:
             return header.bounds
@@ -274,14 +283,15 @@ def extent(headers: Sequence[CloudHeader]) -> Bounds | None:
 
 
 def cloud_of(data: laspy.LasData) -> Cloud:
-    """The points of a cloud that laspy has read, as :func:`read_clouds` returns those of a file."""
+    """The points of a cloud that laspy has read, filtered as by :func:`read_clouds`."""
     return _cloud(data.points, data.header, None, LAS, crs_of(data.header))
 
 
 def _chunks(
     path: str | Path, bounds: Bounds | None
 ) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
-    """The points of a file, piece by piece; those of a COPC file of which a window is needed, at once."""
+    """The points of a file in chunks, each with the header. The window of a COPC file is one chunk, unless it is too
+    large."""
     with open_cloud(path) as reader:
         header = reader.header
         is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
@@ -303,7 +313,8 @@ def _chunks(
 
 
 def _num_expected(header: laspy.LasHeader, bounds: Bounds) -> float:
-    """About how many points of a file are in a window, by its area; all where the header does not state the area."""
+    """Estimated number of points of a file in a window, by the shares of areas; all points if the header states no
+    area."""
     low, high = header.mins[:2], header.maxs[:2]
     size = np.minimum(high, bounds[2:]) - np.maximum(low, bounds[:2])
     area = float(np.prod(high - low))
@@ -317,7 +328,7 @@ def _cloud(
     classes: ClassSet,
     crs: pyproj.CRS | None,
 ) -> Cloud:
-    """The points to keep."""
+    """The points to keep: not withheld, not ignored by ``classes``, and within ``bounds``."""
     x, y = np.asarray(points.x), np.asarray(points.y)
     classification, keep = classes.to_las(np.asarray(points.classification).astype(np.uint8))
     keep &= ~np.asarray(points.withheld).astype(bool)
@@ -331,8 +342,9 @@ def _cloud(
 def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.ndarray:
     """The days of points, as in :class:`Cloud`.
 
-    Times are seconds since the epoch, less 1e9 (LAS 1.4, "adjusted standard GPS time"), or seconds of an unknown week.
-    Files say which, but not all are right: no week has more than 604,800 seconds, and points are no later than files.
+    GPS times are either seconds since the epoch, less 1e9 (LAS 1.4, "adjusted standard GPS time"), or seconds of an
+    unknown week. The header states which, but not always rightly. So a time is a date if it is more than the 604,800
+    seconds of a week and at most ten years later than the file; other points get the creation date of the file.
     """
     # some programs write years that are centuries ahead
     created = 0 if header.creation_date is None else (header.creation_date - GPS_EPOCH).days
@@ -341,7 +353,7 @@ def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.nd
         return day
     time_s = np.asarray(points.gps_time)
     from_time = np.floor((time_s + _GPS_OFFSET_S) / _DAY_S)
-    # without a date of the file, what raw GPS time gives since 2011, and Unix time since 2001, is too late
+    # without a creation date, the limit excludes raw GPS times since 2011 and Unix times since 2001
     latest = created + _AHEAD_DAYS if _FIRST_LAS <= created < 2**16 else 2 * _GPS_OFFSET_S / _DAY_S
     is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < latest)
     day[is_date] = from_time[is_date]

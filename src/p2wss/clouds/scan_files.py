@@ -24,7 +24,7 @@ from p2wss.storage.las_files import open_cloud
 
 MM = 0.001
 _READ_AT_ONCE = 1_000_000
-# of what is read
+# the columns that are read, with their types
 _COLUMNS = {
     "x": np.float64,
     "y": np.float64,
@@ -91,9 +91,9 @@ def _record(chunk: Mapping[str, np.ndarray], header: laspy.LasHeader) -> laspy.S
 
 
 def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
-    """The points of a scan, and the building id and face id of each, int32 (n,).
+    """The points of a scan, and two arrays int32 (n,): building id and face id of each point.
 
-    Raises :class:`InputError` for a file that is missing, truncated or no such scan.
+    Raises :class:`InputError` for a file that is missing, truncated or not a scan of p2wss.
     """
     integrity.verify(path)
     needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION

@@ -17,7 +17,7 @@ class Section(BaseModel):
 
 
 class Shares(Section):
-    """Relative frequencies, of which not all are zero."""
+    """Relative frequencies. At least one must be above zero."""
 
     @model_validator(mode="after")
     def _not_all_zero(self) -> Self:
@@ -45,7 +45,7 @@ HalfAngleRange = Annotated[
 
 
 def merge(target: dict[str, Any], other: dict[str, Any]) -> None:
-    """Overwrite values of ``target`` with those of ``other``, recursively in nested mappings."""
+    """Overwrite values of ``target`` with values of ``other``, recursively in nested mappings."""
     for key, value in other.items():
         if isinstance(value, dict) and isinstance(target.get(key), dict):
             merge(target[key], value)

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from p2wss.config.base import Section
 
-# settings that only the rules and the report read, that only the baseline roofer reads, and that only measures read
+# settings that are read by: only the rules and the report; only the baseline roofer; only the measures
 _REPORT_ONLY = ("attribution", "baselines", "lidar_name", "num_resamples", "num_worst", "shards_per_job")
 _ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_timeout_s")
 _MEASURES_ONLY = ("max_num_points", "num_samples", "seed")

@@ -144,7 +144,7 @@ class Fetch(Section):
 
     @property
     def of_tiles(self) -> dict[str, Any]:
-        """The settings that terrain and clouds of a tile depend on as they are delivered."""
+        """The settings on which the delivered terrain and clouds of a tile depend."""
         of_footprints = {name for name in Folder.model_fields if name.startswith("footprints")}
         if self.source == "folder":
             return {"margin_m": self.margin_m} | self.folder.model_dump(exclude=of_footprints)

@@ -35,7 +35,8 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
 
 
 def as_config(config: Config | str | Path | dict[str, Any] | None, detail: str | None = None) -> Config:
-    """A config from what a user gives: a file, a mapping of sections, or nothing; with this ``reconstruct.detail``.
+    """A config from what a user gives: a file, a mapping of sections, or nothing. detail: replaces
+    ``reconstruct.detail``.
 
     Raises :class:`InputError` for an unknown key or value.
     """
@@ -102,5 +103,8 @@ def _suggestion(error: Any) -> str:
             if isinstance(part, str) and part in getattr(model, "model_fields", {}):
                 model = model.model_fields[part].annotation
         names = list(getattr(model, "model_fields", {}))
-    matches = [name for name in names if name.startswith(key)] or get_close_matches(key, names, n=1)
+    matches = [name for name in names if name.startswith(key)]
+    if error["type"] == "literal_error":  # gpkg is short for geopackage
+        matches += [name for name in names if re.match(".*".join(name), key)]
+    matches = matches or get_close_matches(key, names, n=1)
     return f" (did you mean {matches[0]}?)" if matches else ""

@@ -1,8 +1,8 @@
-"""Places: where the files of a member and of a draw are in the folders of a data set.
+"""Places: which folders of a data set hold the files of a member and of a draw.
 
-A place is the part of a path before the name of a tile: "" for a config without members, ``paris/`` for a member
-with one draw, ``paris/1/``, ``paris/2/`` for the draws of a member with several. Files that no draw changes, such as
-footprints and real LiDAR, are at the place of the member: ``paris/``.
+A place is the part of a path before the name of a tile: "" for a config without members, ``paris/`` for a member with
+one draw, ``paris/1/`` and ``paris/2/`` for the draws of a member with several draws. Files that no draw changes, such
+as footprints and real LiDAR, are at the place of the member: ``paris/``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def member_place(config: Config, place: str) -> str:
 
 
 def place_config(config: Config, place: str) -> Config:
-    """The config of a place: the member's settings applied, and seeds of scenes and scans of its own.
+    """The config of a place: the member's settings are applied, and scenes and scans get seeds of their own.
 
     The split of the crops has the same seed everywhere: a building is in the same split in every draw. Raises
     ``ValueError`` for a place that the config does not have, pydantic's ``ValidationError`` for a wrong setting.
@@ -57,7 +57,7 @@ def place_config(config: Config, place: str) -> Config:
     member = _member(config, place)
     sections = config.model_dump(mode="json", exclude={"dataset"})
     for name in TILE_LISTS:
-        # names of tiles are of one region (the defaults of the miniature); "all" is of any
+        # names of tiles belong to one region (here the default, the miniature); "all" suits any region
         if sections["region"][name] != [ALL]:
             sections["region"][name] = []
     for name in MEMBER_SECTIONS:

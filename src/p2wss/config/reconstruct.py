@@ -22,9 +22,9 @@ OUTPUT_SUFFIXES = {
     "geoparquet": ".parquet",
     "report": ".html",
 }
-# and of the file of `reconstruct.wedges`
+# suffix of the file of `reconstruct.wedges`
 WEDGES_SUFFIX = ".wedges.parquet"
-# and of the tracebacks of internal errors, where there are any
+# suffix of the file of tracebacks of internal errors, written only if there are any
 ERRORS_SUFFIX = ".errors.log"
 Output = Literal[
     "cityjsonseq",
@@ -39,7 +39,7 @@ Output = Literal[
     "geoparquet",
     "report",
 ]
-# those that have no meshes, and so no terrain either
+# formats without meshes, and so without terrain
 TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet", "report")
 # explained in p2wss.formats.materials
 MaterialName = Literal[

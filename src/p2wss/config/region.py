@@ -9,13 +9,13 @@ from pydantic import Field, field_validator, model_validator
 
 from p2wss.config.base import Section
 
-# in place of the names of tiles
+# stands for all names of tiles
 ALL = "all"
-# what no tile depends on: which other tiles are processed
+# settings on which no tile depends: which other tiles are processed
 TILE_LISTS = ("tiles", "lidar_tiles")
-# what only readers of real clouds depend on: neither footprints, terrain and downloads nor scenes
+# settings on which only readers of real clouds depend, not footprints, terrain, downloads and scenes
 OF_CLOUDS = ("classes", "members.*.region.classes")
-# to leave out of the section where only the classes of the clouds matter: a run on files of a user's own
+# settings to leave out where only the classes of the clouds matter: in a run on files of a user
 CLASSES_ALONE = (*TILE_LISTS, "name", "vintage", "crs", "bounds_m", "tile_size_m")
 # France in tiles of 1 km fills a square of about a million
 _MAX_TILES = 2_000_000
@@ -76,7 +76,7 @@ class Region(Section):
     classes: Classes = Classes()
 
     def shares_files(self, other: Region) -> bool:
-        """Whether tiles of both may be of one name and vintage, by which terrain and clouds are stored."""
+        """Whether tiles of both regions may have the same name and vintage, by which terrain and clouds are stored."""
         (west, south, east, north), (x_min, y_min, x_max, y_max) = self.bounds_m, other.bounds_m
         overlaps = west < x_max and east > x_min and south < y_max and north > y_min
         return overlaps and (self.vintage, self.tile_size_m) == (other.vintage, other.tile_size_m)

@@ -1,4 +1,4 @@
-"""Whether Roofer can be run here, in which version, and which recorded outputs replace it if it cannot.
+"""Whether Roofer can be run here, its version, and the recorded outputs that replace it if it cannot be run.
 
 Imports no slow modules, because the Snakefile uses it at every start: a new installation or another version of Roofer
 reruns the baseline.
@@ -15,7 +15,7 @@ from pathlib import Path
 from p2wss.config.eval import Eval
 from p2wss.storage.errors import InputError
 
-# beside recorded outputs: hashes of points that they were made from (p2wss.eval.roofer.cloud_sketch)
+# file beside recorded outputs with hashes of the points that they were made from (p2wss.eval.roofer.cloud_sketch)
 CLOUDS = "clouds.json"
 _RECORDED_SUFFIXES = (".city.jsonl", ".jsonl", ".city.json", ".json")
 
@@ -29,7 +29,7 @@ def version(config: Eval) -> str | None:
 
 @cache
 def _version(program: str, modified_ns: int) -> str | None:
-    """Asked once per process, unless the file at ``program`` changes."""
+    """The version that a program reports. It is run once per process, unless the file at ``program`` changes."""
     try:
         completed = subprocess.run(
             [program, "--version"], capture_output=True, text=True, timeout=60, check=False
@@ -42,7 +42,7 @@ def _version(program: str, modified_ns: int) -> str | None:
 def recorded_files(config: Eval) -> list[Path]:
     """The files of ``eval.roofer_recorded``; none if it is empty or if Roofer can be run.
 
-    Raises :class:`InputError` if it is set but there is no such file or folder; of its default there may be none.
+    Raises :class:`InputError` if there is no such file or folder, unless the setting has its default.
     """
     if not config.roofer_recorded or version(config) is not None:
         return []
@@ -66,7 +66,7 @@ def state(config: Eval) -> str:
 
 def facts(config: Eval, has_rows: bool = True) -> dict[str, str]:
     """``status`` (``ok``, ``recorded``, ``not run: <reason>``) and ``note``, for the report. has_rows: whether there
-    are outputs, recorded ones included, of any of the tiles."""
+    are outputs, also recorded ones, for any of the tiles."""
     if not has_rows:
         config = config.model_copy(update={"roofer_recorded": ""})
     status = "ok" if version(config) is not None else state(config)

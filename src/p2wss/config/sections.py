@@ -22,7 +22,7 @@ from p2wss.config.scans import Scans
 from p2wss.config.scenes import Scenes
 
 S = TypeVar("S", bound=Section)
-# of which a member of a data set may have changes
+# sections that a member of a data set may change
 MEMBER_SECTIONS = ("region", "fetch", "scenes", "scans")
 
 
@@ -56,7 +56,8 @@ class Config(Section):
             # at the border of a tile, a crop would lack a part of its points
             if {"scans", "crops"} <= given and each.scans.keep_margin_m < each.crops.buffer_m:
                 raise ValueError(f"{key}scans.keep_margin_m must be at least crops.buffer_m")
-        # terrain and clouds are stored by vintage and tile alone: of two members, both would get those of the first
+        # terrain and clouds are stored by vintage and tile alone: two members with the same ones would share the first
+        # one's
         for first, second in itertools.combinations(
             range(len(members)) if {"region", "fetch"} <= given else (), 2
         ):
@@ -82,7 +83,8 @@ class Config(Section):
 
 
 def changed(section: S, changes: dict[str, Any], key: str) -> S:
-    """A section with changes. key: where they stand, for the ``ValueError`` of a wrong one."""
+    """``section`` with ``changes``. key: the place of the changes in the config, for the ``ValueError`` of a wrong
+    change."""
     values = section.model_dump(mode="json")
     merge(values, changes)
     try:

@@ -1,9 +1,9 @@
-"""The manifest: the list of all shards of crops, which :mod:`p2wss.data.manifest` reads back, and which
-buildings of a data set are used: a fixed number of pairs, and of real clouds.
+"""The manifest lists all shards of crops; :mod:`p2wss.data.manifest` reads it back. It also chooses which buildings of
+a data set are used, so that there is a fixed number of pairs and of real clouds.
 
-Each building has a rank that follows from the seed, its tile (with the place) and its id alone: neither the order of
-the shards nor what else is in them changes who has a lower rank. Of each split the lowest ranks are used. Of the real
-clouds the lowest ranks are for the evaluation and the next ones for the training of the dvae: no cloud is in both.
+Each building has a rank that follows from the seed, its tile (with the place) and its id alone, whatever the order of
+the shards and their other buildings. Of each split of the simulated buildings, the lowest ranks are used. Of the real
+clouds, the lowest ranks are for the evaluation and the next ones for the training of the dvae: no cloud is in both.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ SPLIT_SHARES = {"train": 0.8, "val": 0.1, "test": 0.1}
 def choose(ranks: Mapping[tuple[str, str], np.ndarray], config: Dataset) -> dict[str, Any]:
     """The ranges of ranks to use, for the manifest, and how many buildings they hold.
 
-    ranks: (dataset, split) to the ranks of its buildings, uint64 (n,). Returns ``{dataset: {purpose: range}}``
-    with the purposes of :meth:`p2wss.data.manifest.Manifest.select`. A range has the ranks ``from`` and
-    ``below``, ``num_buildings`` and ``num_wanted``. A dataset of which all buildings are used is absent.
+    ranks: for each (dataset, split), the ranks of its buildings, uint64 (n,). Returns ``{dataset: {purpose: range}}``
+    with the purposes of :meth:`p2wss.data.manifest.Manifest.select`. A range has the keys ``from`` and ``below``
+    (ranks), ``num_buildings`` and ``num_wanted``. A dataset is absent if all its buildings are used.
     """
     selection: dict[str, Any] = {}
     if config.num_pairs:
@@ -51,7 +51,8 @@ def choose(ranks: Mapping[tuple[str, str], np.ndarray], config: Dataset) -> dict
 
 
 def _range(ranks: np.ndarray, first: int, count: int) -> dict[str, int]:
-    """Ranks number ``first`` to ``first + count`` of the sorted ones."""
+    """The range of the ``count`` ranks from index ``first`` on in the sorted ``ranks``; fewer if there are not so
+    many."""
     last = min(first + count, len(ranks))
     end = 1 << 63  # above every rank
     start = int(ranks[first]) if first < len(ranks) else end
@@ -67,8 +68,8 @@ def _range(ranks: np.ndarray, first: int, count: int) -> dict[str, int]:
 def list_shards(shards: Sequence[tuple[Path, str]], folder: Path, config: Dataset) -> dict[str, Any]:
     """The manifest of ``shards``, pairs of a file and its dataset.
 
-    It lists for each shard the path relative to ``folder``, dataset, tile, rows per split, exclusions per reason
-    and SHA-256. config: how many buildings are used; the manifest holds the choice, the shards hold all buildings.
+    For each shard it lists the path relative to ``folder``, dataset, tile, rows per split, exclusions per reason and
+    SHA-256. config: how many buildings are used; the manifest holds the choice, the shards hold all buildings.
 
     Raises :class:`InputError` if no shard has a row, or if shards of one dataset differ in CRS.
     """

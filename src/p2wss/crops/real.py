@@ -33,9 +33,9 @@ def crop_real(
     """The columns of :data:`p2wss.storage.schemas.crops.CROPS` without labels, and the number of excluded footprints
     per reason.
 
-    features: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. They are assigned to tiles as in the
-    scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
-    its margin, in their CRS. classes: of these clouds; the columns have those of LAS.
+    features: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. As in the scenes, the centre of its
+    bounding box assigns a footprint to a tile; the footprints of ``tile`` are cropped. clouds: files of the tile and
+    its margin, in the CRS of the footprints. classes: of these clouds; the columns have classes of LAS.
 
     Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
@@ -46,7 +46,7 @@ def crop_real(
     num_excluded = Counter(features["status"][~is_usable])
     features = features.take(is_usable)
     polygons = polygon_arrays.to_polygons(features.geometry)
-    # of the polygons (the tile if there are none) and the ground around them
+    # bounds of the polygons, or of the tile if there are none; the window also holds the ground around them
     bounds = tiling.bounds_of_points(*polygons.xy_m.T) or tiling.tile_bounds(tile, tile_size_m)
     cloud = read_clouds(clouds, tiling.grown(bounds, GROUND_REACH_M), classes)
     check_crs(cloud.crs, features.crs, clouds[0], "the footprints are", "reproject one of them")

@@ -29,11 +29,11 @@ def crop_columns(
     settings: Crops,
     num_excluded: Counter[str],
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """The indices of the polygons that make a row, and their columns of :data:`p2wss.storage.schemas.crops.CROPS`.
+    """The indices of the polygons that get a row, and their columns of :data:`p2wss.storage.schemas.crops.CROPS`.
 
-    cropped: of ``cloud`` and ``polygons``. origin_xy_m: float64 (num_polygons, 2). on_roof: bool (num_pairs,),
-    which of the cropped points are on the roof of their building. Polygons that are too large or have too few
-    points are excluded, and added to ``num_excluded``.
+    cropped: the crops of ``polygons`` from ``cloud``. origin_xy_m: float64 (num_polygons, 2). on_roof: bool
+    (num_pairs,), which of the cropped points are on the roof of their building. Polygons that are too large or have too
+    few points are excluded, and added to ``num_excluded``.
     """
     offset = cropped.offset
     num_pairs = np.diff(offset)

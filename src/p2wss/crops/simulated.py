@@ -24,8 +24,8 @@ _LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
 
 
 def scan_of(path: Path, crs: str) -> Scan:
-    """The scan in a file (:func:`p2wss.clouds.scan_files.read_scan`). Raises :class:`InputError` for one in another CRS
-    than that of the buildings."""
+    """The scan in a file (:func:`p2wss.clouds.scan_files.read_scan`). Raises :class:`InputError` if its CRS is not
+    ``crs``, the CRS of the buildings."""
     scan = read_scan(path)
     check_crs(scan[0].crs, crs, path, "the footprints are", "reproject one of them")
     return scan
@@ -35,8 +35,9 @@ def crop_simulated(buildings: pa.Table, scan: Scan, settings: Crops) -> tuple[di
     """The columns of :data:`p2wss.storage.schemas.crops.CROPS` with labels, and the number of excluded buildings per
     reason.
 
-    buildings: the columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`; those in the margin of the tile are
-    not cropped, but may put buildings of the tile on guard. scan: see :func:`scan_of`.
+    buildings: the columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`. Buildings in the margin of the tile are
+    not cropped, but may make buildings of the tile guards (:func:`p2wss.crops.splits.assign_splits`). scan: see
+    :func:`scan_of`.
     """
     cloud, building_of_point, face_of_point = scan
     polygons = polygon_arrays.in_crs(buildings)

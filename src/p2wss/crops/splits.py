@@ -14,10 +14,10 @@ from p2wss.skeleton.types import Polygons
 def assign_splits(polygons: Polygons, settings: Crops) -> np.ndarray:
     """The split of each polygon: "train", "val", "test" or "guard" (object array).
 
-    polygons: in the CRS, not in local coordinates. The centroid of a polygon decides its block. Of every 5 by 2
-    blocks, one drawn block is val and another is test, so that the shares approach 80, 10 and 10 percent of a
-    large area. A val or test building closer than ``guard_m`` to a building of another split becomes guard and
-    is not used. A polygon without rings is guard too. If ``settings.split`` names a split, all are in it.
+    polygons: in the CRS, not in local coordinates. The block of a polygon is that of its centroid. In every group of 5
+    by 2 blocks, one block is drawn for val and another for test, so that the shares approach 80, 10 and 10 percent of a
+    large area. A val or test building closer than ``guard_m`` to a building of another split becomes guard and is not
+    used. A polygon without rings is guard too. If ``settings.split`` names a split, all other polygons are in it.
     """
     shapes = polygon_arrays.to_geometries(polygons)
     split = np.full(len(shapes), "guard", dtype=object)

@@ -20,12 +20,12 @@ class Building:
 
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z above ``ground_z_m``. classification: uint8
-    (m,), LAS classes. ground_z_m: z of the ground at the building in the height system of the cloud, as the cloud
-    shows it (:func:`p2wss.clouds.crops.crop_cloud`); NaN only without points. All other heights are above it.
+    (m,), LAS classes. ground_z_m: z of the ground at the building in the height system of the cloud, as the cloud shows
+    it (:func:`p2wss.clouds.crops.crop_cloud`); NaN only without points. All other heights are above it.
     stated_height_m: height above the ground that the footprint states; NaN if unknown. around_m: (k, 3), points on the
-    roofs around a building with few of its own, in the same frame; none for others. supposed_m: (s, 3), places all over
-    the roof of a building with few points, at heights that a network supposes; none for others. line_m: (l, 2, 2), ends
-    of lines of the roof that a map knows, in the same frame; None in a run without such lines.
+    roofs around the building, in the same frame; (0, 3) unless it has few points of its own. supposed_m: (s, 3), places
+    all over the roof, at heights that a network predicts; (0, 3) unless the building has few points. line_m: (l, 2, 2),
+    ends of the roof lines that a map knows, in the same frame; None in a run without such lines.
     """
 
     building_id: str
@@ -66,12 +66,12 @@ class Reconstruction:
     """The result of a method for a building: parameters and a mesh, or a status that gives the reason for none.
 
     rings: footprint of the mesh, relative to ``origin_xy_m`` like x and y of the mesh; z is above ``ground_z_m``.
-    eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: bodies between which there
-    are steps, or fitted parts; with several, ``eave_height_m`` is that of the largest one, and ``angle_deg`` are the
-    angles along the footprint. status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a
-    flat roof used as a fallback. surfaces: the planar polygons of the mesh that were found to be a valid solid, as
-    files have them; none before that. is_simplified: whether the points show more than a building may have.
-    num_lines_used: of the lines of ``Building.line_m``, those that are edges of the roof.
+    eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: number of bodies between
+    which there are steps, or of fitted parts; with several, ``eave_height_m`` is that of the largest one, and
+    ``angle_deg`` are the angles along the footprint. status: a value of :mod:`p2wss.data.reasons`; a mesh with a status
+    other than "ok" is a flat roof used as a fallback. surfaces: the planar polygons of the mesh, as files have them,
+    once they were found to be a valid solid; empty before that. is_simplified: whether the points show more planes than
+    the fit of a building takes. num_lines_used: how many lines of ``Building.line_m`` are edges of the roof.
     """
 
     building_id: str
@@ -96,7 +96,7 @@ class Reconstruction:
 
     @property
     def num_triangles(self) -> int:
-        """Of the mesh; 0 without one."""
+        """Number of triangles of the mesh; 0 without one."""
         return 0 if self.mesh is None else len(self.mesh.triangle)
 
     @property

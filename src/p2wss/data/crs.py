@@ -15,6 +15,7 @@ from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError
 from p2wss.storage.las_crs import (
     UNKNOWN,
+    as_of_epsg,
     epsg_of,
     horizontal,
     in_degrees,
@@ -48,9 +49,9 @@ _NOWHERE_DEG = 0.1
 class MetricCrs:
     """The CRS of a run, and the conversion from the CRS of the clouds into it.
 
-    source: of the clouds. crs: the same with metres in place of other units; the zone of UTM of clouds in degrees, or
-    in a projection whose lengths or directions are not those on the ground. horizontal_m, vertical_m: lengths of the
-    source's units; the first is None where coordinates are transformed to UTM.
+    source: the CRS of the clouds. crs: the CRS of the run: ``source`` with metres in place of other units, or a UTM
+    zone if the clouds are in degrees or in a projection whose lengths or directions differ from those on the ground.
+    horizontal_m, vertical_m: lengths of the source's units; the first is None where coordinates are transformed to UTM.
     """
 
     source: pyproj.CRS
@@ -64,7 +65,7 @@ class MetricCrs:
         return self.horizontal_m == 1.0 and self.vertical_m == 1.0
 
     def window_of_clouds(self, bounds: Bounds) -> Bounds:
-        """A window of the run in the units of the clouds."""
+        """A window of the run, in the CRS of the clouds."""
         low_x, low_y, high_x, high_y = (
             self._transformer.transform_bounds(*bounds, direction="INVERSE")
             if self.horizontal_m is None
@@ -73,7 +74,7 @@ class MetricCrs:
         return low_x, low_y, high_x, high_y
 
     def bounds_of_run(self, bounds: Bounds) -> Bounds:
-        """A window of the clouds in the CRS of the run."""
+        """A window of the clouds, in the CRS of the run."""
         low_x, low_y, high_x, high_y = (
             self._transformer.transform_bounds(*bounds)
             if self.horizontal_m is None
@@ -93,12 +94,12 @@ class MetricCrs:
         return x_m, y_m, z * self.vertical_m
 
     def mesh(self, mesh: Mesh) -> Mesh:
-        """A mesh in the CRS of the run, of one in the units of the source."""
+        """A mesh in the units of the source, converted into the CRS of the run."""
         return replace(mesh, vertex_m=np.column_stack(self.points(*mesh.vertex_m.T)))
 
     def unstated_m(self, terrain_crs: pyproj.CRS) -> float:
-        """Length of the unit of heights of a raster that does not state it: that of the clouds in their CRS, else that
-        of x and y."""
+        """Length in metres of the unit of heights of a raster that does not state it. It is the clouds' unit of heights
+        if the raster is in their CRS, else the unit of the raster's x and y; 1 for degrees."""
         if same_crs(terrain_crs, self.source):
             return self.vertical_m
         return (
@@ -108,8 +109,7 @@ class MetricCrs:
         )
 
     def terrain(self, terrain: Terrain, terrain_crs: pyproj.CRS, path: str | Path) -> Terrain:
-        """A raster with heights in metres in the CRS of the run; a message says that one in another CRS is
-        reprojected."""
+        """A raster with heights in metres, converted into the CRS of the run. A message says if it is reprojected."""
         if same_crs(terrain_crs, self.crs):
             return terrain
         if same_crs(terrain_crs, self.source) and self.horizontal_m is not None:
@@ -138,9 +138,10 @@ def common_crs(
     """The CRS of the clouds, and a note if it was assumed.
 
     cloud, frame: the CRS that clouds and footprints state, if any. stated: the CRS of the clouds that the user states.
-    names: of the two files. bounds: of the clouds. Raises :class:`InputError` if no CRS is stated, or none by the
-    clouds where the footprints are in degrees. If the user states another CRS than the clouds, that is taken, with a
-    warning, unless the bounds contradict the user and not the clouds.
+    It overrides the one of the clouds, with a warning if they differ. names: of the two files. bounds: of the clouds.
+
+    Raises :class:`InputError` if no CRS is stated, if the only one is that of footprints in degrees, and if the clouds
+    lie in the area of the CRS that they state, but not in the area of the CRS that the user states.
     """
     note = None
     if stated is not None:
@@ -156,7 +157,7 @@ def common_crs(
             text = "warning: %s states that it is in %s; --crs overrides that: %s"
             log.warning(text, names[0], cloud.name, stated_crs.name)
         # heights that the user states are part of the CRS
-        if cloud is None or is_other or not cloud.is_compound or stated_crs.is_compound:
+        if cloud is None or is_other or vertical_part(cloud) is None or vertical_part(stated_crs) is not None:
             cloud = stated_crs
     if cloud is None and frame is not None and frame.is_geographic:
         raise InputError(
@@ -180,14 +181,16 @@ def metric_crs(
 ) -> tuple[MetricCrs, str | None]:
     """The CRS of a run on clouds in ``source``, and a note if it differs.
 
-    A CRS in feet is replaced by the one of EPSG that is the same in metres, else by a CRS of the same name and
-    "(metres)"; heights in feet by heights in metres above the same datum. Heights whose unit is not stated are taken to
-    be in the unit of x and y. Degrees, a projection in which lengths differ by more than 0.5 % from those on the
-    ground, and one whose axes point south or west are replaced by a zone of UTM. bounds: of a cloud, where that is
-    decided. name: of a cloud. vertical_m: length of the unit of heights, whatever ``source`` states.
+    A CRS in feet is replaced by the same CRS of EPSG in metres, else by a CRS of the same name and "(metres)"; heights
+    in feet by heights in metres above the same datum. Heights whose unit is not stated are taken to be in the unit of x
+    and y. A UTM zone replaces degrees, a projection in which lengths differ by more than 0.5 % from those on the
+    ground, and a projection whose axes point south or west. bounds: of a cloud, the place for which the zone and the
+    lengths are found. name: of a cloud. vertical_m: length of the unit of heights, whatever ``source`` states.
 
-    Raises :class:`InputError` for a CRS that is neither projected nor geographic, and for degrees without bounds.
+    Raises :class:`InputError` for a CRS that is neither projected nor geographic, for degrees without bounds, and where
+    there is no UTM zone.
     """
+    source = as_of_epsg(source)
     flat = horizontal(source)
     heights = vertical_part(source)
     name_of = f"{source.name}, with heights above the ellipsoid" if is_ellipsoidal(source) else source.name
@@ -224,8 +227,11 @@ def metric_crs(
 
 
 def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
-    """What may be wrong with coordinates that are outside of the area of use of their projection, if they would be
-    inside without it, and with those in the sea at latitude and longitude zero; else ""."""
+    """A message about coordinates with a known fault, else "".
+
+    Either they lie outside the area of use of their projection, and would be inside if they were swapped, or had
+    another sign, another unit or no zone number; or they lie in the sea at latitude and longitude zero.
+    """
     x, y = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
     if not crs.is_projected:
         return ""
@@ -256,9 +262,11 @@ def odd_place(crs: pyproj.CRS, bounds: Bounds) -> str:
 
 
 def doubtful_place(crs: pyproj.CRS, bounds: Bounds) -> str:
-    """Where coordinates are, if nothing but the place would tell that they are wrong: outside of the area of use of
-    their projection, by no fault that :func:`odd_place` knows, or in it in either order, where a CRS has northings
-    before eastings; else ""."""
+    """A message about where coordinates lie, if nothing but the place would tell that they are wrong, else "".
+
+    Either they lie outside the area of use of their projection, and :func:`odd_place` knows no fault; or the CRS has
+    northings before eastings, and they lie inside its area in either order.
+    """
     flat, (x, y) = horizontal(crs), ((bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
     is_there = is_plausible(crs, (x, y))
     if not is_there and crs.is_projected and not odd_place(crs, bounds):
@@ -279,7 +287,7 @@ def doubtful_place(crs: pyproj.CRS, bounds: Bounds) -> str:
 
 
 def parsed_crs(stated: str, where: str) -> pyproj.CRS:
-    """The CRS that a user states. where: for the :class:`InputError` that there is no such CRS."""
+    """The CRS that a user states. where: the option or key, for the :class:`InputError` that there is no such CRS."""
     try:
         return pyproj.CRS.from_user_input(stated)
     except pyproj.exceptions.CRSError as error:
@@ -303,8 +311,8 @@ def check_crs(
     other: str = "the region is",
     remedy: str = "reproject the file or change region.crs",
 ) -> None:
-    """Raise :class:`InputError` if a file states another CRS than ``expected``. other: what is in that. None of the two
-    passes."""
+    """Raise :class:`InputError` if a file states another CRS than ``expected``. None in place of either CRS passes.
+    other: what is in ``expected``, for the message."""
     if found is None or expected is None:
         return
     expected = pyproj.CRS.from_user_input(expected)
@@ -313,8 +321,8 @@ def check_crs(
 
 
 def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None:
-    """(the smallest, the largest) length in a projection of a metre on the ground, in the middle of bounds; None where
-    that is not known."""
+    """(smallest, largest) length in the projection of a metre on the ground, over all directions, at the middle of
+    ``bounds``; None if unknown."""
     flat = horizontal(crs)
     longitude, latitude = in_degrees(flat, (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2)
     if not np.isfinite([longitude, latitude]).all():
@@ -326,13 +334,14 @@ def ground_scales(crs: pyproj.CRS, bounds: Bounds) -> tuple[float, float] | None
 
 
 def _unlike_the_ground(crs: pyproj.CRS, bounds: Bounds) -> str:
-    """What would be mirrored, turned or of another size in the plane of a projection at bounds, in words; else ""."""
+    """How the plane of a projection differs from the ground at ``bounds``, in words: axes that point south or west, or
+    lengths that differ by more than 0.5 %; else ""."""
     centre = (bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2
     is_there = is_plausible(crs, centre)
     if np.abs(bounds).max() < _LOCAL and not is_there:
         return ""  # drawn or measured around an origin of its own
     directions = [axis.direction for axis in crs.axis_info]
-    # of a map around a pole, both axes point to one direction
+    # both axes of a map around a pole point in one direction
     if is_there and directions[0] != directions[1] and {"south", "west"} & set(directions):
         return f"whose axes point {' and '.join(directions)}"
     scales = ground_scales(crs, bounds)
@@ -342,8 +351,8 @@ def _unlike_the_ground(crs: pyproj.CRS, bounds: Bounds) -> str:
 
 
 def _with_heights_of(source: pyproj.CRS, plane: pyproj.CRS) -> pyproj.CRS:
-    """A plane with the heights of another, in metres: above the same datum, or above the ellipsoid if both planes have
-    the same; without heights if no more than their unit is known."""
+    """``plane`` with the heights of ``source``, in metres: above the same datum, or above the ellipsoid if both have
+    the same one. Without heights if ``source`` states no more than their unit."""
     heights = vertical_part(source)
     if is_ellipsoidal(source) and source.ellipsoid.semi_major_metre == plane.ellipsoid.semi_major_metre:
         return plane.to_3d()
@@ -351,7 +360,7 @@ def _with_heights_of(source: pyproj.CRS, plane: pyproj.CRS) -> pyproj.CRS:
 
 
 def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
-    """The same CRS in metres, of EPSG if it is there."""
+    """The same CRS in metres; the one of EPSG if there is one."""
     if all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info):
         return crs
     result = in_unit(crs, 1.0, " (metres)")
@@ -372,7 +381,8 @@ def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
 
 
 def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
-    """The zone of bounds in a CRS."""
+    """The EPSG code of the UTM zone of ``bounds``, which are in ``crs``. Raises :class:`InputError` if there is none.
+    name: of the file."""
     corners = [in_degrees(crs, x, y) for x in bounds[::2] for y in bounds[1::2]]
     (x_min, y_min), (x_max, y_max) = np.min(corners, axis=0), np.max(corners, axis=0)
     if not (-180 <= x_min <= x_max <= 180 and -90 <= y_min <= y_max <= 90):
@@ -387,18 +397,18 @@ def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
 
 @lru_cache(maxsize=256)
 def _zone(west: float, south: float, east: float, north: float) -> int | None:
-    """The EPSG code of the first zone of UTM (WGS 84) that bounds in degrees meet."""
+    """The EPSG code of the first UTM zone (WGS 84) that a window in degrees intersects; None without one."""
     area = pyproj.aoi.AreaOfInterest(west, south, east, north)
     zones = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
     return int(zones[0].code) if zones else None
 
 
 def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: str | Path) -> np.ndarray:
-    """Footprints of a file, object (n,), in the horizontal part of ``crs``, with a message of what was done; heights of
-    vertices are dropped.
+    """Footprints of a file, object (n,), in the horizontal part of ``crs``, without heights of vertices. A message says
+    what was done.
 
-    Coordinates that cannot be transformed become infinite. Raises :class:`InputError` if that holds for all, or if
-    there is no transformation.
+    Coordinates that cannot be transformed become infinite. Raises :class:`InputError` if none can be, or if there is no
+    transformation.
     """
     target = horizontal(crs)
     if same_crs(source, target):
@@ -431,7 +441,7 @@ def reprojected(shapes: np.ndarray, source: pyproj.CRS, crs: pyproj.CRS, path: s
 
 def _accuracy_m(transformer: pyproj.Transformer) -> float | None:
     """Accuracy of the transformation that was used last, in metres; None if unknown."""
-    # 0 of a conversion between projections of one datum, which is exact
+    # 0 for a conversion between projections of one datum, which is exact
     try:
         accuracy = transformer.get_last_used_operation().accuracy
     except pyproj.exceptions.ProjError:  # PROJ found that the two are the same

@@ -1,4 +1,4 @@
-"""Classes of LiDAR points (LAS 1.4 R15, table 17), and those of producers."""
+"""Classes of LiDAR points (LAS 1.4 R15, table 17), and the classes of producers."""
 
 from __future__ import annotations
 
@@ -13,28 +13,32 @@ GROUND_CLASS = 2
 VEGETATION_CLASS = 5
 BUILDING_CLASS = 6
 WATER_CLASS = 9
-PLANT_CLASSES = (3, 4, VEGETATION_CLASS)  # low, medium and high vegetation
+# of our own, reserved in LAS: points of a sparse cloud without class building that are a roof if a footprint says so,
+# and otherwise plants
+PERHAPS_ROOF_CLASS = 63
+PLANT_CLASSES = (3, 4, VEGETATION_CLASS, PERHAPS_ROOF_CLASS)  # low, medium and high vegetation, and perhaps
 NOISE_CLASSES = (7, 18)  # low and high noise
-# for a building, the roof of another one over its footprint is noise; that of producers is left out before
+# class of points on the roof of another building over the footprint: noise for this building. The producers' own points
+# of noise are left out before
 NEIGHBOUR_CLASS = NOISE_CLASSES[1]
 
 
 def has_class(classification: np.ndarray, classes: Sequence[int]) -> np.ndarray:
-    """bool (n,): which points, uint8 (n,), are of some classes."""
+    """bool (n,): which points have one of ``classes``. classification: uint8 (n,)."""
     # numpy's own function takes eight times as long for the points of a building
     return _is_one_of(tuple(classes)).take(classification)
 
 
 @cache
 def _is_one_of(classes: tuple[int, ...]) -> np.ndarray:
-    """bool (256,): which classes are some of these."""
+    """bool (256,): which class numbers are in ``classes``."""
     return np.bincount(classes, minlength=256) > 0
 
 
 @dataclass(frozen=True)
 class ClassSet:
-    """The classes of a producer: buildings, ground, and those to ignore. All others are "other": they may be on a
-    building that the classifier has missed."""
+    """The classes of a producer: buildings, ground, and classes to ignore. All other classes are "other": such points
+    may be on a building that the classifier has missed."""
 
     building: tuple[int, ...] = (BUILDING_CLASS,)
     ground: tuple[int, ...] = (GROUND_CLASS,)
@@ -43,10 +47,11 @@ class ClassSet:
     def to_las(self, classification: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(classes of LAS, uint8 (n,), whether to keep each point, bool (n,)) for the classes of the producer.
 
-        A class with a number that means building or ground in LAS, but not here, becomes "unclassified".
+        A class with a number that means building or ground in LAS, but not here, becomes "unclassified", and so does
+        :data:`PERHAPS_ROOF_CLASS`.
         """
         table = np.arange(256, dtype=np.uint8)
-        table[[BUILDING_CLASS, GROUND_CLASS]] = UNCLASSIFIED_CLASS
+        table[[BUILDING_CLASS, GROUND_CLASS, PERHAPS_ROOF_CLASS]] = UNCLASSIFIED_CLASS
         table[list(self.building)] = BUILDING_CLASS
         table[list(self.ground)] = GROUND_CLASS
         return table[classification], ~has_class(classification, [*self.ignored, *NOISE_CLASSES])

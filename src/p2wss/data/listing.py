@@ -41,7 +41,7 @@ def list_files(location: str, suffixes: tuple[str, ...], key: str) -> list[Path]
 
 
 def with_companions(path: Path) -> list[Path]:
-    """A file and those that belong to it: the .dbf, .shx, .prj and .cpg of a shapefile.
+    """A file and its companions: the .dbf, .shx, .prj and .cpg of a shapefile.
 
     >>> with_companions(Path("nowhere/a.gpkg"))
     [PosixPath('nowhere/a.gpkg')]
@@ -51,7 +51,7 @@ def with_companions(path: Path) -> list[Path]:
 
 
 def extent_m(path: Path) -> Bounds | None:
-    """(x_min, y_min, x_max, y_max) that the header of a LAS, LAZ or .asc file states; None if it states none, for
+    """(x_min, y_min, x_max, y_max) as the header of a LAS, LAZ or .asc file states it; None if it states none, for
     other formats, and for damaged files."""
     try:
         with path.open("rb") as file:
@@ -79,5 +79,5 @@ def _asc_extent_m(head: bytes) -> Bounds | None:
 
 
 def may_overlap(extent: Bounds | None, bounds: Bounds) -> bool:
-    """Whether a file of this :func:`extent_m` may have data in ``bounds``: what states none may lie anywhere."""
+    """Whether a file with this :func:`extent_m` may have data in ``bounds``; a file without a stated extent may."""
     return extent is None or are_near(extent, bounds, 0.0)

@@ -67,8 +67,8 @@ class Manifest:
     def select(self, table: pa.Table, dataset: str, purposes: Sequence[str]) -> np.ndarray:
         """Mask of the rows of a shard that are used for any of the purposes, bool (n,).
 
-        table: with the columns ``split``, ``tile`` and ``building_id``. purposes: of simulated buildings splits; of
-        real clouds "test" or "dvae". Raises :class:`InputError` if the manifest does not state the range of a purpose.
+        table: with the columns ``split``, ``tile`` and ``building_id``. purposes: splits of simulated buildings; "test"
+        or "dvae" of real clouds. Raises :class:`InputError` if the manifest does not state the range of a purpose.
         """
         split = table["split"].to_numpy(zero_copy_only=False).astype(str)
         ranges = self.selection.get(dataset)
@@ -87,7 +87,7 @@ class Manifest:
 
 
 def building_ranks(table: pa.Table, seed: int) -> np.ndarray:
-    """The rank of each building, uint64 (n,), evenly distributed below 2^63: from the seed, its tile and its id."""
+    """The rank of each building, uint64 (n,), evenly distributed below 2^63. It follows from the seed, tile and id."""
     tiles, names = table["tile"].to_pylist(), table["building_id"].to_pylist()
     ranks = [derive_seed(seed, "dataset", tile, name) for tile, name in zip(tiles, names, strict=True)]
     return np.array(ranks, np.uint64)
@@ -96,8 +96,8 @@ def building_ranks(table: pa.Table, seed: int) -> np.ndarray:
 def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manifest:
     """The shards that a manifest lists; relative paths start at its folder, or else at the current folder.
 
-    only: these of its shards, in the order of the manifest; the others need not exist. Raises :class:`InputError`
-    if the manifest or a shard is missing, or if it does not list one of ``only``.
+    only: the shards to return, in the order of the manifest; other shards need not exist. Raises :class:`InputError` if
+    the manifest or a shard is missing, or if the manifest does not list one of ``only``.
     """
     content = files.read_json(path, _Listing, "a manifest of crops")
     shards = []

@@ -17,7 +17,8 @@ from p2wss.data.las_classes import (
     has_class,
 )
 
-# with fewer points of class building, or a smaller share of those that may be, the classifier has missed the building
+# with fewer points of class building, or a smaller share of the points that may be on the building, the classifier has
+# missed it
 MIN_CLASSIFIED_POINTS, MIN_CLASSIFIED_SHARE = 5, 0.2
 # lower points on a building that the classifier has missed may be a car, a hedge or rough ground
 MIN_HEIGHT_M = 2.0
@@ -25,7 +26,8 @@ NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 
 
 def stride(num: int, max_count: int) -> int:
-    """The k for which every k-th of ``num`` values are at most ``max_count``, so that no random draw is needed."""
+    """The smallest step k with which every k-th of ``num`` values makes at most ``max_count``; it needs no random
+    draw."""
     return max(-(-num // max_count), 1)
 
 
@@ -34,10 +36,11 @@ def points_on_building(
 ) -> np.ndarray:
     """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,); z above the ground.
 
-    These are the points of class building inside the polygon. If there are fewer than five, or than a fifth of all that
-    are at least 2 m above the ground and neither ground, noise, water nor plants, they are all of these; with fewer
-    than five of these, plants count, too. Points outside the footprint never count: in a row of houses they belong to
-    the neighbours.
+    These are the points of class building inside the polygon, unless the classifier has missed the building. Then they
+    are the points inside it that are at least 2 m above the ground and neither ground, noise, water nor plants; with
+    fewer than five such points, plants count, too. A building counts as missed with fewer than five points of class
+    building, or fewer than a fifth of the number of such points. Points outside the footprint never count: in a row of
+    houses they belong to the neighbours.
     """
     inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
     offset = np.array([0, len(point_m)])

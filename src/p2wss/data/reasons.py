@@ -1,7 +1,7 @@
 """Every status and reason of a building: a building is "ok", or has the reason why something is missing.
 
 These are the values of the columns ``status`` and ``reason`` of all files, and the keys of counts of excluded
-buildings. Those of the kernel are in :class:`p2wss.skeleton.Status`.
+buildings. The reasons of the kernel are in :class:`p2wss.skeleton.Status`.
 """
 
 from __future__ import annotations

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 # 20 km by 20 km at 0.5 m, 6.4 GB
 _MAX_CELLS = 1_600_000_000
-# larger rasters are read where they are needed, 5 km by 5 km at 1 m being read whole
+# a larger raster is read only where it is needed; 5 km by 5 km at 1 m are read whole
 _WHOLE_CELLS = 25_000_000
 # no compression packs more cells into a byte of a file, except in small ones
 _CELLS_PER_BYTE, _SMALL_CELLS = 1000, 10_000_000
-# no ground is lower or higher, and none so far above or below all cells beside it
+# limits of heights of the ground, and the difference from all cells beside it with which a cell cannot be ground
 _LOWEST_M, _HIGHEST_M, _MAX_JUMP_M = -500.0, 9000.0, 150.0
 # lengths of units of heights, metres, by the names that rasters have for them
 UNITS_M = {
@@ -45,9 +45,8 @@ UNITS_M = {
 class Terrain:
     """A north-up raster of heights.
 
-    height_m: float32 (rows, columns), NaN where there are no data; row 0 is the northernmost. x_min_m, y_max_m:
-    outer corner of the north-west cell. cell_m: edge length of the square cells. A height is that of the centre
-    of its cell.
+    height_m: float32 (rows, columns), at the centres of cells, NaN where there are no data; row 0 is the northernmost.
+    x_min_m, y_max_m: outer corner of the north-west cell. cell_m: edge length of the square cells.
     """
 
     height_m: np.ndarray
@@ -103,8 +102,8 @@ class Terrain:
 
 
 def check_size(raster: rasterio.DatasetReader, path: str | Path, read: tuple[int, ...] | None = None) -> None:
-    """Raise :class:`InputError` for more cells than anyone needs, or than a file can hold. read: rows and columns of
-    the raster that are read, None for all."""
+    """Raise :class:`InputError` for more cells than anyone needs, or than the file can hold. read: rows and columns of
+    the part that is read; None for the whole raster."""
     rows, columns = read or raster.shape
     cells = rows * columns
     has_own_cells = raster.driver == "GTiff" and Path(path).is_file()
@@ -134,8 +133,9 @@ def read_terrain(
     NaN, and so do heights that cannot be.
 
     crs: assumed, with a note, for a raster that does not state one, such as most files .asc. unit: of the heights,
-    whatever the raster states: a key of :data:`UNITS_M`. unstated_m: its length where the raster does not state it.
-    windows: of a raster of more than 25 million cells, in its CRS, the first with fewer is read, else the last.
+    whatever the raster states: a key of :data:`UNITS_M`. unstated_m: length in metres of the unit of heights where the
+    raster states none, given its CRS. windows: of a raster with more than 25 million cells only a window is read: the
+    first of these, in its CRS, with fewer cells, else the last.
 
     Raises :class:`InputError` if the file is missing, unreadable, rotated or without CRS, or has cells that are not
     square, or none in the window.
@@ -204,7 +204,8 @@ def height_scale(raster: rasterio.DatasetReader) -> tuple[float, float]:
 
 
 def _stated_unit_m(crs: pyproj.CRS | None, band_unit: str, path: str | Path) -> float | None:
-    """Length of the unit of heights that the band and the CRS of a raster state, the former if they differ."""
+    """Length in metres of the unit of heights that a raster states in its band or its CRS, the band's if they differ;
+    None if it states none. Unknown units and differences are logged."""
     of_band = UNITS_M.get(band_unit.strip().lower().replace("_", " ").removesuffix("."))
     vertical = None if crs is None else vertical_part(crs)
     of_crs = None if vertical is None else unit_m(vertical)
@@ -223,8 +224,8 @@ def _stated_unit_m(crs: pyproj.CRS | None, band_unit: str, path: str | Path) -> 
 def without_impossible(terrain: Terrain, path: str | Path) -> Terrain:
     """The terrain with NaN in place of heights that cannot be, with a warning that names their number.
 
-    These are below -500 m, above 9,000 m, or values that are, wherever they are, 150 m above or below all cells beside
-    them with other values.
+    These are heights below -500 m or above 9,000 m, and values that differ by more than 150 m from all other values
+    beside them, wherever they occur.
     """
     height_m = terrain.height_m
     with np.errstate(invalid="ignore"):
@@ -243,7 +244,8 @@ def without_impossible(terrain: Terrain, path: str | Path) -> Terrain:
 
 
 def _lone(height_m: np.ndarray) -> np.ndarray:
-    """Whether each cell has a value that is far from all other values beside it, in every place where it occurs."""
+    """bool (rows, columns): the cells whose value differs by more than 150 m from every other value beside it, wherever
+    this value occurs in the raster."""
     is_far, is_tied = np.zeros((2, *height_m.shape), bool)
     with np.errstate(invalid="ignore"):
         # by columns, too, in views that are turned
@@ -257,7 +259,7 @@ def _lone(height_m: np.ndarray) -> np.ndarray:
         return is_far
     values = np.setdiff1d(height_m[is_far & ~is_tied], height_m[is_tied])
     lone = np.isin(height_m, values)
-    # of two levels far from each other and tied to nothing, the larger is the ground
+    # if no other value remains, the most frequent one is the ground
     levels, counts = np.unique(height_m[np.isfinite(height_m)], return_counts=True)
     if np.isfinite(height_m).sum() == lone.sum():
         lone &= height_m != levels[counts.argmax()]

@@ -44,9 +44,9 @@ class Case:
 
 
 def test_cases(manifest: Manifest) -> Iterator[list[Case]]:
-    """The test split of the simulated shards and the real clouds for the test.
+    """The cases of the test: the test split of the simulated shards, and the real clouds chosen for the test.
 
-    A list for each shard that has any, in the order of the manifest. No more than one is in memory.
+    A list for each shard that has any, in the order of the manifest. Only one list is in memory at a time.
     """
     for shard in manifest.shards:
         select = partial(manifest.select, dataset=shard.dataset, purposes=["test"])
@@ -74,7 +74,7 @@ class Medians:
 
 
 def train_medians(manifest: Manifest) -> Medians:
-    """Medians of the train split, or of all labels if there is no train split, which favours the constant predictor.
+    """Medians of the train split; of all labels if there is no train split, which favours the constant predictor.
 
     NaN without labels.
     """

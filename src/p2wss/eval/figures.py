@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-# a $ in a name from the data is no formula; equal figures have equal bytes
+# no formulas from a $ in names of the data; equal figures have equal bytes
 matplotlib.rcParams |= {"text.parse_math": False, "svg.hashsalt": "p2wss"}
 
 COLORS = {
@@ -64,7 +64,7 @@ def cumulative(
 ) -> Figure:
     """Share of buildings with at most x, one line per method. values: without NaN. names: of the methods.
 
-    The axis ends at the median over the methods of their 95th percentiles: one bad method squeezes none of the others.
+    The x axis ends at the median of the methods' 95th percentiles, so that one bad method does not squeeze the others.
     """
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for method, sample in values.items():

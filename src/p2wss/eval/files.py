@@ -1,6 +1,6 @@
 """Measures of the buildings of any CityJSON file against point clouds: ``p2wss evaluate``.
 
-The footprints decide which points are of which building, so that files of several programs can be compared.
+The footprints decide which points belong to which building, so that files of several programs can be compared.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from p2wss.skeleton.types import FaceKind
 from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 
-# points up to this distance from the footprint are of the building
+# points up to this distance from the footprint belong to the building
 BUFFER_M = 1.0
-# with fewer points near it a building is not measured, with fewer on it neither its roof
+# least number of points near a building to measure it, and of points on it to measure its roof
 MIN_POINTS, MIN_ROOF_POINTS = 50, 10
-# a larger cloud of a building is reduced to this many; as many samples are drawn on meshes and on roofs
+# largest number of points of a building that are used, and number of samples on meshes and on roofs
 NUM_SAMPLES = 2048
-# samples of the mesh to which distances of points are measured
+# number of samples of the mesh to which distances of points are measured
 NUM_DENSE_SAMPLES = 40_000
 MEASURES = ("cd_m", "roof_cd_m", "points_to_mesh_m", "num_triangles")
 
@@ -60,16 +60,15 @@ def evaluate(
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
 
-    buildings: a CityJSON file or text sequence, a scene, or solids; in the CRS that a run on the clouds has, if they
-    state none. Clouds are read as :func:`p2wss.reconstruct` reads them: measures are in metres, whatever the units of
-    files. A building is that of the
-    footprint that it touches whose id is its name or its attribute ``id_field``, or else of the one that it overlaps
-    most. id_field:
-    column of the ids of the footprints; None: that of ``config``, or recognised. crs: of clouds whose headers state
-    none. config: the classes of clouds and the unit of their heights, and the layer of the footprints.
+    buildings: a CityJSON file or text sequence, a scene, or solids. If they state no CRS, they are taken to be in the
+    CRS of a run on the clouds. A building belongs to the footprint whose id is its name or its attribute ``id_field``,
+    if it touches that footprint; else to the footprint that it overlaps most. Clouds are read as
+    :func:`p2wss.reconstruct` reads them: measures are in metres, whatever the units of files. id_field: column of the
+    ids of the footprints; None: the one of ``config``, or recognised. crs: of clouds whose headers state none. config:
+    the classes of clouds and the unit of their heights, and the layer of the footprints.
 
-    Columns: ``status`` (``ok``, ``no mesh`` or ``too few points``, then without measures); ``num_points`` up to 1 m
-    from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
+    Columns: ``status`` (``ok``, or without measures ``no mesh`` or ``too few points``); ``num_points`` up to 1 m from
+    the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these points and as many samples of the mesh;
     ``roof_cd_m``, the same between the points of class 6 inside the footprint and the faces of the roof;
     ``points_to_mesh_m``, the mean distance of the latter points to 40,000 samples of the mesh; ``num_triangles``;
     ``is_watertight``, whether each of its solids is. Raises :class:`InputError` for a file that is missing or broken.
@@ -148,7 +147,8 @@ def _solids(
 def _matched(
     solids: Sequence[ReadSolid], footprints: gpd.GeoSeries, id_field: str | None
 ) -> dict[str, ReadSolid]:
-    """The solid of each footprint that has one; several of the same one, as those of its parts, are joined."""
+    """The solid of each footprint that has one. Several solids of one footprint, such as those of its parts, are
+    joined."""
     known: defaultdict[str, list[ReadSolid]] = defaultdict(list)
     unknown: defaultdict[str, list[ReadSolid]] = defaultdict(list)
     num_elsewhere = 0
@@ -157,7 +157,7 @@ def _matched(
             continue
         values = [solid.building_id, *(solid.attributes.get(name) for name in (id_field or "", *GENERIC.ids))]
         named = [str(value) for value in values if str(value) in footprints.index]
-        # numbers of another program may be ids of other footprints
+        # an id that another program has given may be the id of another footprint
         xy_m = solid.mesh.vertex_m[:, :2]
         around = shapely.box(*xy_m.min(axis=0), *xy_m.max(axis=0))
         ids = [name for name in named if footprints[name].intersects(around)]
@@ -178,7 +178,8 @@ def _matched(
 
 
 def _parts(members: Sequence[ReadSolid]) -> np.ndarray:
-    """The number of the solid of each triangle of some buildings together, 0 of those in none."""
+    """For each triangle of the joined solids of ``members``, the number of its solid, from 1; 0 for triangles in no
+    solid."""
     count, parts = 0, []
     for each in members:
         part = np.ones(len(each.mesh.triangle), int) if each.part is None else each.part
@@ -188,7 +189,7 @@ def _parts(members: Sequence[ReadSolid]) -> np.ndarray:
 
 
 def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:
-    """The id of the footprint with the largest overlap with the plan of a solid."""
+    """The id of the footprint that overlaps most with the plan of a solid; None if none does."""
     on_ground = solid.mesh.kind == FaceKind.GROUND
     corner_m = solid.mesh.corner_m[on_ground] if on_ground.any() else solid.mesh.corner_m
     plan = shapely.union_all(shapely.make_valid(shapely.polygons(corner_m[:, :, :2])))
@@ -200,7 +201,7 @@ def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:
 def _measures(
     near_m: np.ndarray, on_building_m: np.ndarray, solid: ReadSolid | None, seed: int
 ) -> dict[str, Any]:
-    """The columns of a building but for its number of points. Random draws depend on the seed alone."""
+    """The columns of a building other than its number of points. Random draws depend on the seed alone."""
     if len(near_m) < MIN_POINTS:
         return {"status": "too few points"}
     if solid is None:
@@ -227,8 +228,11 @@ def _measures(
 
 
 def _samples(corner_m: np.ndarray, count: int, draw: np.random.Generator) -> np.ndarray:
-    """Points drawn uniformly by area over triangles (t, 3, 3): (count, 3), or (0, 3) without area. As an independent
-    script draws them, whose figures these are to be (tests/unit/eval/test_files.py); elsewhere trimesh does."""
+    """Points drawn uniformly by area over triangles (t, 3, 3): (count, 3), or (0, 3) without area.
+
+    They are drawn as in the independent script with which the figures must agree (tests/unit/eval/test_files.py);
+    elsewhere trimesh draws samples.
+    """
     area_m2 = np.linalg.norm(doubled_areas(corner_m), axis=1)
     if not area_m2.sum() > 0:
         return np.zeros((0, 3))

@@ -26,12 +26,12 @@ from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.schemas.measures import MEASURES
 
-# a roof counts as seen with this many points on it, an edge with this many over its sloped face
+# least number of points on a roof that counts as seen, and over the sloped face of an edge that does
 MIN_SEEN_POINTS = 10
 # with fewer points on the building, distances to the roof mean nothing
 MIN_ROOF_POINTS = 10
 PLANAR_M = 0.01
-# from the footprint's edges: nearer points may be on a wall, where a height over the roof means nothing
+# points nearer to the edges of the footprint may be on a wall, where a height above the roof means nothing
 INNER_M = 0.5
 _ROOF = (FaceKind.ROOF, FaceKind.FLAT)
 SEVERAL_HEIGHTS = "several heights"
@@ -42,8 +42,8 @@ _SHED_COSINE = np.cos(np.radians(30.0))
 def parameter_errors(pairs: Sequence[tuple[Case, Reconstruction]]) -> Iterator[dict[str, Any]]:
     """The columns of errors of the schema ``MEASURES`` for each case and its reconstruction.
 
-    They are absent without labels, or where the reconstruction has no parameters; those of angles also where it has
-    other edges than the label.
+    They are absent without labels, and where the reconstruction has no parameters; errors of angles also where the
+    reconstruction has another number of edges than the label.
     """
     comparable = [
         (case, row.angle_deg, case.angle_deg)
@@ -68,11 +68,11 @@ def parameter_errors(pairs: Sequence[tuple[Case, Reconstruction]]) -> Iterator[d
 
 
 def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Mask of the edges that the points determine, per labelled case: bool, one value per edge over all rings.
+    """Mask of the edges that the points determine, for each labelled case: bool, one value per edge over all rings.
 
     angle_deg: the angles by a method. An edge is seen if ten points on the building lie over its sloped face, in the
-    roof of the label or of the method. A gable that the method predicts as such has no face, and a wall under a flat
-    roof is the same with 0 and with 90 degrees: neither counts as seen.
+    roof of the label or of the method. A gable that the method also predicts as a gable has no face, and a wall under a
+    flat roof is the same with 0 and with 90 degrees: neither counts as seen.
     """
     if not cases:
         return []
@@ -103,8 +103,8 @@ def measure(
 ) -> Iterator[dict[str, Any]]:
     """Rows of the schema ``MEASURES``, one per case and method, methods in the order given.
 
-    A method's mapping may lack a case on which the method was not run; there is no row for it. config: of its section
-    buildings, the height at which true roofs are cut off.
+    A case that is not in a method's mapping, because the method was not run on it, has no row. config: its section
+    ``buildings`` states the height at which true roofs are cut off.
     """
     for by_key in reconstructions.values():
         pairs = [(case, by_key[case.key]) for case in cases if case.key in by_key]
@@ -114,7 +114,8 @@ def measure(
 
 
 def measure_building(case: Case, reconstruction: Reconstruction, config: Config) -> dict[str, Any]:
-    """The columns of the schema ``MEASURES`` other than errors of parameters; without a mesh, those of the building.
+    """The columns of the schema ``MEASURES`` other than errors of parameters; without a mesh, only those of the
+    building.
 
     Random draws depend on the seed, the building and the method alone.
     """
@@ -177,7 +178,7 @@ def true_mesh(case: Case, max_roof_height_m: float = np.inf) -> Mesh | None:
     labels."""
     if case.angle_deg is None or case.eave_height_m is None or case.label_terrain_z_m is None:
         return None
-    # from its own ground: that of the cloud may be above the eaves
+    # from the ground of the label: the cloud's ground may be above the eaves
     height_m = np.array([case.eave_height_m])
     polygons = Polygons.from_rings([list(case.building.rings)])
     built = skeleton.build(polygons, case.angle_deg, height_m, max_roof_height_m=max_roof_height_m)

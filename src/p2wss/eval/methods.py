@@ -18,8 +18,8 @@ from p2wss.reconstruction.product import FIT, NETWORK, reconstruct_buildings
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 
-# the settings of Table 1 with the footprint hidden from the network, written by the method "masked": as in the paper
-# (signs visible), and with the signs masked too
+# names of the results of the method "masked", the settings of Table 1 with the footprint hidden from the network: with
+# visible signs, as in the paper, and with masked signs
 MASKED = ("all_masked", "all_masked_signs")
 NAMES = (NETWORK, FIT, "masked", "lod1", "constant", roofer.METHOD)
 
@@ -34,8 +34,8 @@ class MaskedPredictor(Predictor, Protocol):
 
 
 class Inputs(NamedTuple):
-    """What methods need beside the buildings. predictor: of point2wss and masked. medians: of the constant
-    predictor. crs: of the buildings, for Roofer."""
+    """What methods need beside the buildings. predictor: for point2wss and masked. medians: for constant. crs: of the
+    buildings, for Roofer."""
 
     config: Config
     predictor: MaskedPredictor | None = None
@@ -46,11 +46,11 @@ class Inputs(NamedTuple):
 def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reconstruction]:
     """The reconstructions of a method for the cases of one shard, in order.
 
-    Cases for which it was not run are left out: all of them for a Roofer that cannot be run, those without labels for
-    the masked settings. ``point2wss`` is the paper's method, the network with the views of its training; a building
-    that it cannot reconstruct has no mesh. ``fit`` is the result of ``p2wss reconstruct``; a flat roof that it falls
-    back to counts as the method's, with the reason as its status. ``constant``: all buildings
-    with the median height and angle. Raises :class:`InputError` for an unknown name.
+    Cases for which it was not run are left out: all cases if Roofer cannot be run, cases without labels for the masked
+    settings. ``point2wss`` is the paper's method, the network with the views of its training; a building that it cannot
+    reconstruct has no mesh. ``fit`` is the result of ``p2wss reconstruct``; a flat roof used as a fallback counts as a
+    result of the method, with the reason as its status. ``constant``: all buildings with the median height and angle.
+    Raises :class:`InputError` for an unknown name.
     """
     if not cases:
         return []
@@ -75,8 +75,8 @@ def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reco
 def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
     """The settings for a data set.
 
-    Simulated buildings are parametric. For real buildings the settings of the product are
-    used as they are.
+    Simulated buildings are parametric, and so are their roofs. For real buildings the settings of the product are used
+    as they are.
     """
     if dataset != SIMULATED:
         return config
@@ -84,7 +84,7 @@ def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
 
 
 def _masked(cases: Sequence[Case], predictor: MaskedPredictor, config: Reconstruct) -> list[Reconstruction]:
-    """Parameters without meshes, of labelled buildings that the network can take."""
+    """Parameters without meshes, for the labelled buildings that the network supports."""
     buildings = [
         case.building
         for case in cases

@@ -1,7 +1,4 @@
-"""Reconstructions: Parquet of the result of one method for each building.
-
-Written and read by the stage eval.
-"""
+"""Reconstructions: Parquet with the results of methods for buildings. The stage eval writes and reads it."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ CAPTIONS = {
     "worst": "The worst buildings of our best variant.",
 }
 
-# of the comparison on the page: measures in their order, and those of which the least is the best
+# measures of which the least value is the best; measures of the comparison on the page, in order
 LEAST = (
     "Points to mesh (m)",
     "Roof CD (m)",
@@ -92,7 +92,7 @@ class Inputs:
 
 
 def titles(config: Config) -> dict[str, str]:
-    """Titles of the data sets: of real clouds ``eval.lidar_name``, or what they are."""
+    """Titles of the data sets. Real clouds have the title ``eval.lidar_name``, or one from their sources."""
     places = [place_config(config, place) for place in member_places(config)]
     names = [
         "LiDAR HD"
@@ -110,12 +110,13 @@ def titles(config: Config) -> dict[str, str]:
 
 
 def _is_drawn(place: Config) -> bool:
-    """Whether the LiDAR is that of the miniature, the default."""
+    """Whether the LiDAR of a place is the drawn one of the miniature, the default."""
     return place.fetch.source == "folder" and place.fetch.folder.lidar == Folder().lidar
 
 
 def attribution(config: Config) -> list[str]:
-    """The lines that name the sources: of IGN's services, drawn ones, and those of the config."""
+    """The lines that name the sources: IGN's services and the drawn miniature where they are used, and the lines of the
+    config."""
     places = [place_config(config, place) for place in member_places(config)]
     lines = [
         _IGN.format(vintage=place.region.vintage) for place in places if place.fetch.source == "geoplateforme"
@@ -140,7 +141,7 @@ def read(
     of_parts = [files.read_metadata(path) for path in measures]
     facts, methods = of_parts[0], dict[str, dict[str, Any]](of_parts[0]["methods"])
     for each in of_parts[1:]:
-        # a method that has no output for one group of tiles may have some for another
+        # a method without an output for one group of tiles may have one for another
         methods |= {
             name: of for name, of in each["methods"].items() if methods[name]["status"].startswith("not run")
         }
@@ -172,7 +173,8 @@ def read(
             **methods,
         },
         scans={_place_and_tile(path): figures.image_uri(_scan_picture(path), "png") for path in scans},
-        # trained here, not read from elsewhere, and on clouds that were not chosen for one purpose or the other
+        # the dvae was trained here, not read from elsewhere, and the real clouds were not divided between the two
+        # purposes
         dvae_saw_real=bool(training)
         and uses_lidar
         and REAL in set(table["dataset"].unique().to_pylist()) - set(listed.selection),
@@ -180,13 +182,14 @@ def read(
 
 
 def _place_and_tile(path: Path) -> str:
-    """Which tile of which draw a picture shows: its path below the folder of the stage, if it stands in one."""
+    """The place and tile of a picture: its path below the folder of the stage scans, or its name outside such a
+    folder."""
     parts = path.with_suffix("").parts
     return "/".join(parts[parts.index("scans") + 1 :]) if "scans" in parts else path.stem
 
 
 def _scan_picture(path: Path) -> bytes:
-    """A PNG without what follows its end, the checksum."""
+    """A PNG without the checksum that follows its end."""
     integrity.verify(path)
     content = path.read_bytes()
     return content[: content.rfind(b"IEND") + len("IEND") + 4]
@@ -261,8 +264,8 @@ def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFra
 
 
 def _comparisons(more: pd.DataFrame, titles: Mapping[str, str]) -> dict[str, pd.DataFrame]:
-    """Per data set a row per method and a column per measure that has any value: means and the intervals of
-    distances, CD last, the best in asterisks."""
+    """For each data set a table with a row per method and a column per measure that has any value: means, with
+    intervals for distances, CD last. The best value is in asterisks."""
     by_measure = more.set_index("Measure")
     result = {}
     for title in titles.values():
@@ -290,13 +293,14 @@ def _comparisons(more: pd.DataFrame, titles: Mapping[str, str]) -> dict[str, pd.
 
 
 def _off(worst: pd.DataFrame, limit_m: float) -> pd.DataFrame:
-    """Those of the worst buildings that are farther from their points than ``limit_m``, or that have no mesh."""
+    """The worst buildings that are farther from their points than ``limit_m``, or that have no mesh."""
     distance_m = worst["Points to mesh (m)"]
     return worst[distance_m.isna() | (distance_m > limit_m)]
 
 
 def _distances(group: pd.DataFrame) -> pd.DataFrame:
-    """The median distances of points to mesh of one property: a row per group, a column per method that sees points."""
+    """The median distances of points to mesh for one property: a row per group, a column per method but the constant
+    one."""
     wide = group.pivot_table("Median Points to mesh (m)", "Group", "Method", sort=False, observed=True)
     return wide.drop(columns="Constant", errors="ignore").map(partial(_cell, digits=3)).reset_index()
 
@@ -310,7 +314,7 @@ def _cell(value: Any, digits: int = 2, unknown: str = "–") -> str:
 def _distributions(
     frame: pd.DataFrame, names: Mapping[str, str], titles: Mapping[str, str]
 ) -> list[tuple[str, str]]:
-    """(image, caption) of each data set and distance, of the buildings that all methods have."""
+    """(image, caption) for each data set and distance, over the buildings that every method has."""
     frame, images = frame[tables.compared(frame)], []
     for dataset, title in titles.items():
         for column in ("points_to_mesh_m", "chamfer_m"):
@@ -326,7 +330,7 @@ def _distributions(
 
 
 class _Record(BaseModel, extra="allow"):
-    """A line of a ``metrics.jsonl``: numbers by name, or from which step on which code trained."""
+    """A line of a ``metrics.jsonl``: numbers by name, or the step from which on another ``code`` trained."""
 
     step: float
     code: str = ""

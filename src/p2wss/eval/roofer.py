@@ -1,7 +1,7 @@
 """Roofer (Peters et al. 2022), the baseline of Table 2: a separate program that the user installs.
 
 No part of it belongs to this package. It reads LAZ and GeoPackage and writes CityJSON, which is read back. Where it
-cannot be run, CityJSON of an earlier run may replace it.
+cannot be run, recorded CityJSON of an earlier run may replace it.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from p2wss.storage.temporary import temporary_folder
 
 METHOD = "roofer"
 _ID_FIELD = "building_id"
-# recorded outputs count where this share of the points that they were made from is there: footprints that move by
-# centimetres leave all but 0.3 % of the points of a real cloud, and another draw of the simulation leaves none
+# recorded outputs count if this share of the points that they were made from is there: footprints that move by
+# centimetres keep all but 0.3 % of the points of a real cloud, and another draw of the simulation keeps none
 _SAME_SHARE = 0.95
 _SKETCH = 128
-# other points of the same simulated buildings are about as many, up to this share
+# largest difference in the number of points, as a share, between two draws of the same simulated buildings
 _OTHER_NUMBER = 0.05
 
 
 def reconstruct(cases: Sequence[Case], crs: str | None, config: Eval) -> list[Reconstruction]:
     """The solids of Roofer for the cases of one shard, in order.
 
-    It is run on their points or, if it cannot be run, replaced by recorded outputs; empty if there are none for the
-    tile. Without a solid the status states the reason.
+    Roofer is run on their points. If it cannot be run, recorded outputs replace it; the result is empty if there are
+    none for the tile. Without a solid the status states the reason.
     """
     if roofer_command.version(config) is None:
         return _recorded(cases, roofer_command.recorded_files(config))
@@ -55,10 +55,11 @@ def reconstruct(cases: Sequence[Case], crs: str | None, config: Eval) -> list[Re
 
 
 def _recorded(cases: Sequence[Case], paths: Sequence[Path]) -> list[Reconstruction]:
-    """Recorded solids of the cases; none where nothing is recorded for the tile.
+    """Recorded solids of the cases; an empty list if nothing is recorded for the tile.
 
-    Where the outputs state what they were made from, they count for these clouds, and for simulated buildings of the
-    same truth and about as many points, whose status then says that these are others; otherwise for real LiDAR.
+    If the outputs state what they were made from, they count for the same clouds. For simulated buildings with the same
+    truth and about as many points they count, too, with a status that says that the points are others. Outputs without
+    such a statement count for real LiDAR.
     """
     dataset, tile = cases[0].dataset, cases[0].building.tile
     stated = next((path for path in paths if path.name == roofer_command.CLOUDS), None)
@@ -86,7 +87,7 @@ def _recorded(cases: Sequence[Case], paths: Sequence[Path]) -> list[Reconstructi
 
 def made_from(cases: Sequence[Case]) -> dict[str, list[int]]:
     """What tells later whether outputs belong to the cases of a tile: ``points``, a sketch of the cloud,
-    ``num_points``, and ``buildings``, hashes of the truths of simulated ones."""
+    ``num_points``, and ``buildings``, hashes of the labels of simulated buildings."""
     return {
         "points": cloud_sketch(cases),
         "num_points": [len(_cloud(cases)[0])],
@@ -95,8 +96,8 @@ def made_from(cases: Sequence[Case]) -> dict[str, list[int]]:
 
 
 def _states(cases: Sequence[Case], known: dict[str, list[int]]) -> list[str]:
-    """Of each case, whether outputs that were made from ``known`` (:func:`made_from`) are of its points, of as many
-    others on the same building, or of neither."""
+    """The status of each case for outputs that were made from ``known`` (:func:`made_from`): made from its points, from
+    about as many other points on the same building, or from neither."""
     now, (num_known,) = made_from(cases), known["num_points"]
     if len(set(known["points"]) & set(now["points"])) >= _SAME_SHARE * len(known["points"]):
         return [reasons.OK] * len(cases)
@@ -107,7 +108,7 @@ def _states(cases: Sequence[Case], known: dict[str, list[int]]) -> list[str]:
 
 
 def _truth_hash(case: Case) -> int:
-    """Of the id, the footprint, the heights and the angles of a simulated building, to centimetres and hundredths."""
+    """Hash of the id, the footprint, the heights and the angles of a simulated building, rounded to hundredths."""
     building = case.building
     corner_m = np.concatenate([ring + building.origin_xy_m for ring in building.rings])
     height_m = np.array((case.eave_height_m, case.label_terrain_z_m), float)
@@ -117,8 +118,8 @@ def _truth_hash(case: Case) -> int:
 
 
 def cloud_sketch(cases: Sequence[Case]) -> list[int]:
-    """What identifies the points of a tile, as Roofer is given them: the least of the hashes of point and class
-    (Broder 1997). The share of them that two clouds have in common is about that of their points."""
+    """What identifies the points of a tile as Roofer gets them: the least hashes of point and class (Broder 1997). Two
+    clouds have about the same share of these hashes in common as of their points."""
     grid_cm, classification = _cloud(cases)
     points = pd.DataFrame(grid_cm).assign(classification=classification)
     least = np.sort(pd.util.hash_pandas_object(points, index=False).to_numpy())[:_SKETCH]
@@ -126,7 +127,7 @@ def cloud_sketch(cases: Sequence[Case]) -> list[int]:
 
 
 def _cloud(cases: Sequence[Case]) -> tuple[np.ndarray, np.ndarray]:
-    """(the points of all crops in centimetres, int64 (n, 3), sorted and each once; their classes)."""
+    """(the points of all crops in centimetres, int64 (n, 3), sorted and without duplicates; their classes)."""
     cloud = [case.building.point_m + case.building.position_m for case in cases]
     # crops of neighbours overlap; on a grid of centimetres the same point has the same coordinates
     grid_cm, first = np.unique(
@@ -164,7 +165,8 @@ def _reconstruction(
 
 @contextmanager
 def outputs(cases: Sequence[Case], crs: str | None, config: Eval) -> Iterator[tuple[list[Path], str]]:
-    """Run Roofer on a tile: its CityJSON, in a temporary folder, and why a building is not in it."""
+    """Run Roofer on a tile. Yields its CityJSON files, in a temporary folder, and the status of a building that they
+    lack."""
     tile = cases[0].building.tile
     with temporary_folder("roofer") as folder:
         write_inputs(cases, crs, folder)

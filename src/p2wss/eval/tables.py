@@ -1,4 +1,4 @@
-"""The tables of the report: Tables 1 and 2 with the rows of the paper and its figures, and what it lacks."""
+"""The tables of the report: Tables 1 and 2 with the rows and figures of the paper, and tables that the paper lacks."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def main_method(runs: Sequence[Run]) -> str:
 
 
 def table_1(measures: pa.Table) -> pd.DataFrame:
-    """A row per parameter: MAE and deviation of the paper, then those of each setting with the count."""
+    """A row per parameter: MAE and deviation in the paper, then MAE, deviation and count of each setting."""
     columns = {
         f"Paper {name}": {title: values[i] for title, values in PAPER_TABLE_1.items()}
         for i, name in enumerate(("MAE", "std"))
@@ -146,7 +146,8 @@ def table_1(measures: pa.Table) -> pd.DataFrame:
 
 
 def compared(frame: pd.DataFrame) -> pd.Series:
-    """Which rows are of buildings that every method has; a method without any mesh of a data set does not count."""
+    """Mask of the rows whose building has a mesh of every method. A method without any mesh in a data set does not
+    count there."""
     has_mesh = frame["num_triangles"].notna()
     rows = frame[has_mesh]
     num_methods = rows.groupby("dataset", observed=True)["method"].nunique()
@@ -156,13 +157,13 @@ def compared(frame: pd.DataFrame) -> pd.Series:
 
 
 def was_not_run(frame: pd.DataFrame) -> pd.Series:
-    """Which rows are of buildings for which a method has no recorded output: it did not fail."""
+    """Mask of the rows for which a method has no recorded output: it did not fail there."""
     return frame["status"].isin([reasons.NOT_RECORDED, reasons.OTHER_CLOUDS])
 
 
 def _title(run: Run, rows: pd.DataFrame) -> str:
-    """The method; with the reason if it has none of the meshes of a data set, all for the same one, or if its meshes
-    are of other points."""
+    """The name of the method. It states the reason if the method has no mesh in a data set, always for the same reason,
+    and it says if meshes were made from other points."""
     states = rows["status"].unique()
     if reasons.OTHER_POINTS in states:
         return f"{METHOD_NAMES[run.method]} ({run.status}, from other points of the same buildings)"
@@ -172,7 +173,7 @@ def _title(run: Run, rows: pd.DataFrame) -> str:
 
 
 def table_2(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
-    """The paper's seven rows, of the buildings that all methods have; the title of a column names data set, source and
+    """The paper's seven rows, over the buildings that every method has. A column is named by data set, source and
     method."""
     columns: dict[str, Any] = {"Statistic": ROWS_2}
     is_compared = compared(frame)
@@ -192,8 +193,8 @@ def table_2(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str])
 def table_2_more(
     frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str], config: Eval
 ) -> pd.DataFrame:
-    """A column per data set and method: means with the bounds of their 95 % intervals and shares of the meshes, of the
-    buildings that all methods have; counts."""
+    """A column per data set and method: means with the bounds of their 95 % intervals and shares of the meshes, over
+    the buildings that every method has; counts."""
     by_method = {run.method: run for run in runs}
     columns, is_compared = {}, compared(frame)
     for keys, part in frame.groupby(["dataset", "method"], observed=True):
@@ -216,7 +217,8 @@ def table_2_more(
 
 
 def interval(values: np.ndarray, draw: np.random.Generator, num_resamples: int) -> tuple[float, float]:
-    """Bounds of the mean with 95 % confidence: the percentile bootstrap (Efron 1979); NaN of less than two values."""
+    """Bounds of the mean with 95 % confidence by the percentile bootstrap (Efron 1979); NaN for fewer than two
+    values."""
     if len(values) < 2:
         return np.nan, np.nan
     # a few resamples at a time: the draws are the same in pieces of any size
@@ -228,7 +230,8 @@ def interval(values: np.ndarray, draw: np.random.Generator, num_resamples: int) 
 
 
 def without_mesh(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
-    """How many buildings have no mesh of a method, or a flat roof instead, or for which it was not run, by reason."""
+    """Numbers of buildings by reason, for buildings with no mesh of a method, with a flat roof instead, or for which
+    the method was not run."""
     missing = frame["num_triangles"].isna()
     rows = frame[missing | ~frame["status"].isin([reasons.OK, reasons.OTHER_POINTS])]
     named = pd.DataFrame(
@@ -245,10 +248,11 @@ def without_mesh(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, 
 
 
 def by_group(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
-    """A row per data set, property (:data:`GROUPS`), group and method: medians of distances, mean errors of labels.
+    """A row per data set, property (:data:`GROUPS`), group and method: medians of distances, means of errors against
+    labels.
 
-    A group has the same buildings for every method, those that all methods have; a numerical property gives four
-    groups of about equal size.
+    Groups contain only buildings with a mesh of every method. A numerical property gives four groups of about equal
+    size.
     """
     frame, parts = frame[compared(frame)], []
     for dataset, data_set in titles.items():
@@ -275,15 +279,15 @@ def by_group(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]
 
 
 def _quarters(values: pd.Series) -> pd.Series:
-    """For each value the quarter that it belongs to, named by the least and greatest value in it."""
+    """For each value its quartile group, named by the least and the greatest value in the group."""
     quarters = pd.qcut(values, 4, duplicates="drop").cat.remove_unused_categories()
     limits = values.groupby(quarters, observed=True).agg(["min", "max"])
     return quarters.cat.rename_categories([f"{low:.3g} to {high:.3g}" for low, high in limits.to_numpy()])
 
 
 def ranked(frame: pd.DataFrame, runs: Sequence[Run]) -> pd.DataFrame:
-    """The buildings of our best variant by data set, those farthest from their points first; before them those without
-    a mesh, or with too few points to measure it."""
+    """The rows of our best variant, the buildings farthest from their points first. Buildings without a mesh, or with
+    too few points to measure the distance, come before them."""
     rows = frame[frame["method"] == main_method(runs)]
     rows = rows.assign(score=rows["points_to_mesh_m"].fillna(np.inf)).astype(
         {"tile": str, "building_id": str}

@@ -17,13 +17,13 @@ from p2wss.formats.viewer import OTHER_COLORS, Layer, Shown
 from p2wss.formats.viewer import viewer as view_of
 from p2wss.mesh.surface import distance_to_mesh
 
-# buildings per data set beside the worst
+# buildings per data set in addition to the worst ones
 NUM_MEDIAN = NUM_BEST = 5
 MAX_POINTS = 4000
 
 
 class View(NamedTuple):
-    """A building to show: title of its group, key, and how far its points are from our mesh, NaN if unknown."""
+    """A building to show: title of its group, key, and mean distance of its points to our mesh, NaN if unknown."""
 
     group: str
     key: Key
@@ -31,7 +31,7 @@ class View(NamedTuple):
 
 
 def choices(ranked: pd.DataFrame, titles: Mapping[str, str], num_worst: int) -> list[View]:
-    """The worst, median and best buildings of each data set, none twice.
+    """The worst, median and best buildings of each data set, each only once.
 
     ranked: the measures of our best variant, the worst first. titles: of the data sets to show.
     """

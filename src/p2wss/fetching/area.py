@@ -63,7 +63,8 @@ def fetch_area(bbox: Bounds, crs: str, folder: Path, config: Config) -> Fetched:
 
 
 def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
-    """A box in the CRS of the region. Raises :class:`InputError` for one that cannot be in ``crs``."""
+    """A box in the CRS of the region. Raises :class:`InputError` for an empty box, and for one that cannot be in
+    ``crs`` or lies where the CRS of the region is not used."""
     stated = parsed_crs(crs, "crs")
     x_min, y_min, x_max, y_max = bbox
     if x_min >= x_max or y_min >= y_max:
@@ -80,16 +81,16 @@ def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
 
 
 def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:
-    """A box in metres of a projected CRS, from one in it or in degrees of longitude and latitude, as which no box in
-    metres can pass that is not at the origin of the CRS. Raises :class:`InputError` for one that is neither, or where
-    the CRS is not used."""
+    """A box in metres of a projected CRS, from a box in it or in degrees of longitude and latitude. A box counts as
+    degrees if its coordinates can be: in metres, only one at the origin of the CRS could be mistaken. Raises
+    :class:`InputError` for an impossible box, or where the CRS is not used."""
     in_metres = max(map(abs, bbox[::2])) > 180 or max(map(abs, bbox[1::2])) > 90
     return bounds_in_region(bbox, crs if in_metres else "EPSG:4326", crs)
 
 
 def bounds_around(place: tuple[float, float], radius_m: float, crs: str) -> Bounds:
-    """A square of twice ``radius_m`` in a projected CRS around a place: latitude and longitude in degrees, in the order
-    of maps, or x and y in metres of the CRS. Raises :class:`InputError` where the CRS is not used."""
+    """A square with sides of twice ``radius_m`` in a projected CRS around a place: latitude and longitude in degrees,
+    in the order of maps, or x and y in metres of the CRS. Raises :class:`InputError` where the CRS is not used."""
     x, y = place
     if abs(x) <= 90 and abs(y) <= 180:
         west, south, east, north = bounds_of_bbox((y - 1e-9, x - 1e-9, y + 1e-9, x + 1e-9), crs)

@@ -44,12 +44,12 @@ TEXT = ("building_id", "nature", "usage", *_MATERIALS)
 def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtopo") -> gpd.GeoDataFrame:
     """``frame`` with the columns of :data:`SPELLINGS` and 2D MultiPolygons, sorted by ``building_id``.
 
-    Missing attributes become null (text) or NaN (numbers). Of a building that occurs more than once, one row
-    is kept. name: the file or service, used in messages. schema: of :data:`p2wss.footprints.schemas.SCHEMAS`, or
-    "auto"; those other than "bdtopo" give ids, heights and floors, and repeated ids are reported.
+    Missing attributes become null (text) or NaN (numbers). One row is kept of a building that occurs more than once.
+    name: the file or service, used in messages. schema: one of :data:`p2wss.footprints.schemas.SCHEMAS`, or "auto";
+    schemas other than "bdtopo" give ids, heights, floors and materials, and repeated ids are reported.
 
-    Raises :class:`InputError` if a required column is missing, a building has no id, or the CRS is missing or
-    differs from ``crs``.
+    Raises :class:`InputError` if a required column is missing, a building has no id, or the CRS is missing or differs
+    from ``crs``.
     """
     if frame.crs is None:
         raise InputError(f"{name}: has no CRS; set one with ogr2ogr -a_srs {crs}")
@@ -79,9 +79,9 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
 
 
 def _as_in_bdtopo(frame: gpd.GeoDataFrame, schema: str, name: str) -> gpd.GeoDataFrame:
-    """The ids, heights, floors and materials of footprints of another schema under BD TOPO's names.
+    """The ids, heights, floors and materials of footprints of another schema, under BD TOPO's names.
 
-    Features with the id and the geometry of another one, as at the seams of files, are dropped.
+    A feature with the same id and geometry as an earlier one, as at the seams of files, is dropped.
     """
     columns = schema_of(list(frame.columns), schema)
     by_name = {str(column).lower(): column for column in frame.columns}

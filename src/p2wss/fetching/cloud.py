@@ -32,7 +32,7 @@ def read_header(path: Path) -> laspy.LasHeader:
 
 
 def extent_of(path: Path) -> Bounds | None:
-    """The bounds that a header states; None where it states none, or others than those of the first point."""
+    """The bounds that a header states; None if it states none, or bounds that do not contain the first point."""
     # without threads, which would decode more than a point
     with open_cloud(path, laz_backend=laspy.LazBackend.Lazrs) as reader:
         stated, first = bounds_of(reader.header), reader.read_points(1)
@@ -53,14 +53,13 @@ def write_cloud(
     holes: Sequence[Bounds] = (),
     link: bool = False,
 ) -> int:
-    """Write the points of ``paths`` that are in ``bounds`` and in none of ``holes`` as one LAZ file, those of several
-    files once.
+    """Write the points of ``paths`` that are in ``bounds`` and in none of ``holes`` as one LAZ file. A point that
+    several files have is written once.
 
-    Of ``bounds`` and of each hole, the west and south edges belong to it and the others do not. The output
-    has the point format and scale of the first file, or of the first in a format of LAS 1.4, and the latest day on
-    which one was made. A single LAZ or COPC file that needs no cropping is copied unchanged (link: as a hard link
-    where the disk allows it, for files that nobody will change).
-    Returns the number of points.
+    The west and south edges of ``bounds`` and of each hole belong to it, the other edges do not. The output has the
+    point format and scale of the first file in a format of LAS 1.4, else of the first file, and the latest creation
+    date of all files. A single LAZ or COPC file that needs no cropping is copied unchanged (link: as a hard link where
+    the disk allows it, for files that nobody will change). Returns the number of points.
 
     Raises :class:`InputError` if a file is truncated or states a CRS that differs from ``crs``.
     """
@@ -80,12 +79,12 @@ def write_cloud(
     header = laspy.LasHeader(version=first.version, point_format=first.point_format)
     header.scales, header.offsets = first.scales, first.offsets
     header.global_encoding.gps_time_type = first.global_encoding.gps_time_type
-    # the day of points whose time does not state it
+    # readers take the creation date as the day of points whose time does not state it
     days = [each.creation_date for each in headers if each.creation_date is not None]
     header.creation_date = max(days, default=header.creation_date)
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
     num_points, extents = 0, [extent_of(path) for path in paths]
-    # of points where files meet, of those before
+    # marks of the points of earlier files where files overlap
     known = np.zeros(0, np.uint64)
     with (
         files.atomic(out, seal=True) as temporary,
@@ -160,9 +159,11 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def append_checksum(path: Path) -> None:
-    """Add room for a checksum, which ``atomic`` fills, at the end of a LAZ file, unless its last bytes have a meaning.
+    """Add a slot for a checksum, which ``atomic`` fills, at the end of a LAZ file, unless its last bytes have a
+    meaning.
 
-    A file that was written to a pipe ends with the place of its chunk table, and has -1 where others have that.
+    A file that was written to a pipe ends with the offset of its chunk table, and has -1 where other files have the
+    offset.
     """
     header = read_header(path)
     with path.open("rb") as file:

@@ -31,7 +31,7 @@ from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import horizontal, same_crs
 from p2wss.storage.log_lines import log
 
-# rasters whose cells differ by less, in cells, have the same
+# rasters have the same grid if their cells differ by less, in cells
 _SAME_CELL = 1e-3
 
 
@@ -50,7 +50,7 @@ class FolderSource:
             read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files
         ]
         if len(files) > 1:
-            # numbers of features, ids where a source has none, repeat from file to file, as may the names of files
+            # ids of a source without ids are numbers of features, which repeat from file to file; so may names of files
             stems = [path.stem for path in files]
             names = [
                 stem if stems.count(stem) == 1 else f"{number + 1}-{stem}"
@@ -83,8 +83,8 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
     """The features of a vector file that intersect ``bounds``, read through the file's spatial index.
 
     layer: name of the layer; a file with a single layer may use another name. Features in another CRS, such as IGN's
-    national GeoParquet in degrees, are reprojected to ``crs``, with a note
-    (:func:`p2wss.data.crs.reprojected`); those without a CRS are returned as they are.
+    national GeoParquet in degrees, are reprojected to ``crs``, with a note (:func:`p2wss.data.crs.reprojected`);
+    features without a CRS are returned as they are.
 
     Raises :class:`InputError` if the file is broken, has several layers and none is called ``layer``, or is in a CRS
     that cannot be transformed.
@@ -115,8 +115,8 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
 def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
     """The features whose bounding boxes intersect ``bounds``.
 
-    Of a file with the bounding boxes in a covering column, as IGN's files are, only the row groups that intersect
-    them are read.
+    If the file has the bounding boxes in a covering column, as IGN's files do, only the row groups that intersect
+    ``bounds`` are read.
     """
     window = _window(path, bounds, crs, layer_info(path)["crs"])
     try:
@@ -129,7 +129,7 @@ def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
 
 
 def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
-    """``bounds`` in the CRS of a file; as they are for a file without a CRS."""
+    """``bounds`` in the CRS of a file; unchanged for a file without a CRS."""
     if file_crs is None:
         return bounds
     try:
@@ -145,8 +145,8 @@ def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
 def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
     """Heights from all rasters that intersect ``bounds``, on the grid of the first; NaN where none has data.
 
-    Rasters whose grids agree are copied, others are interpolated bilinearly. Heights become metres, as the rasters
-    state their unit, scale and offset. name: used in messages.
+    Rasters on the same grid are copied, others are interpolated bilinearly. Heights become metres by the unit, scale
+    and offset that the rasters state. name: used in messages.
 
     Raises :class:`InputError` if no file covers ``bounds``, or if one that does is unreadable, in another CRS than
     ``crs``, or in another unit than the others.
@@ -198,8 +198,8 @@ def _merged(rasters: list[DatasetReader], bounds: Bounds, crs: str) -> Terrain:
 
 
 def _on_grid(raster: DatasetReader, grid: Affine, crs: str) -> WarpedVRT:
-    """The raster on whole cells of the grid: interpolated, unless its own are such cells. Merging alone would stretch
-    its rows and columns to whole cells."""
+    """The raster on whole cells of ``grid``: copied if its own cells are cells of the grid, else interpolated. Merging
+    alone would stretch its rows and columns to whole cells."""
     own, (left, bottom, right, top) = raster.transform, raster.bounds
     corner, last = (np.array((~grid) * xy) for xy in ((left, top), (right, bottom)))
     is_copy = np.isclose(own.a, grid.a) and np.allclose(corner, np.rint(corner), atol=_SAME_CELL)
@@ -218,7 +218,7 @@ def _on_grid(raster: DatasetReader, grid: Affine, crs: str) -> WarpedVRT:
 
 
 def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> None:
-    """Warn of the square kilometres of ``bounds`` that no file covers, named as IGN names its tiles."""
+    """Warn of the square kilometres of ``bounds`` that no file covers, by IGN's names of tiles."""
     missing_tiles = [
         tile
         for tile in tiles_of_bounds(bounds, 1000)
@@ -229,7 +229,7 @@ def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> Non
 
 
 def _overlaps(path: Path, bounds: Bounds) -> bool:
-    """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre; that of one that states none,
-    or a wrong one, may."""
+    """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre. A cloud without a stated extent,
+    or with a wrong one, may overlap; an empty cloud does not."""
     stated = extent_of(path)
     return read_header(path).point_count > 0 and (stated is None or are_near(stated, bounds, -0.5))

@@ -52,8 +52,8 @@ class MapRequest:
 class GeoplateformeSource:
     """IGN's services, see :class:`p2wss.fetching.source.Source`.
 
-    Responses are stored in ``downloads``, each with its checksum under a name that its request decides: what is there
-    and intact is not requested again.
+    Responses are stored in ``downloads``, each with its checksum under a name that follows from the request. An intact
+    stored response is not requested again.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class GeoplateformeSource:
         return Terrain(heights, left * cell, top * cell, cell)
 
     def lidar(self, bounds: Bounds) -> list[Path]:
-        """Tiles that overlap ``bounds``, from the first index whose addresses all work.
+        """Tiles that overlap ``bounds``, from the first index whose addresses all exist.
 
         Raises :class:`InputError` if no index is usable.
         """
@@ -157,10 +157,10 @@ class GeoplateformeSource:
         return files.read_json(path)["features"]
 
     def _all_pages(self, type_name: str, bounds: Bounds, id_field: str | None) -> list[dict[str, Any]]:
-        """All features, requested page by page until their number is the one that the service states.
+        """All features, requested page by page until there are as many as the service states.
 
-        The service may cut a page without saying so, hence the next page starts after the features that were
-        received, not after those that were requested.
+        The service may cut a page without saying so. So the next page starts after the features that were received, not
+        after those that were requested.
         """
         features: dict[str, dict[str, Any]] = {}
         start, matched, empty_pages = 0, None, 0
@@ -269,7 +269,7 @@ class GeoplateformeSource:
         return heights
 
     def _lidar_urls(self, type_name: str, bounds: Bounds) -> list[str]:
-        """The URL of each tile of an index that overlaps ``bounds`` by more than half a metre."""
+        """The sorted URLs of the tiles of an index that overlap ``bounds`` by more than half a metre."""
         try:
             features = self._features(type_name, bounds, None)
         except InputError as error:

@@ -30,7 +30,7 @@ Stage = dict[str, Any]
 
 @dataclass(frozen=True)
 class Window:
-    """The points to write: those in ``bounds`` and in none of ``holes``, in ``crs``.
+    """The points to write: inside ``bounds`` and outside all ``holes``, in ``crs``.
 
     clouds_crs: CRS of the delivered clouds.
     """
@@ -46,8 +46,8 @@ def pipeline(
 ) -> dict[str, list[Stage]]:
     """The PDAL pipeline: read, reproject and crop each cloud, merge, run ``stages``, cut the holes, write LAZ.
 
-    names: the tile's cloud, then one per hole of ``window``. Points in a hole are read from the neighbour's
-    cloud only, so that none is read twice. point_format: of the LAS specification, 6 to 8.
+    names: the tile's cloud, then one per hole of ``window``. Points in a hole are read from the neighbour's cloud only,
+    so that no point is read twice. point_format: of the LAS specification, 6 to 8.
     """
     steps: list[Stage] = []
     tags = []

@@ -25,7 +25,7 @@ _LIDAR_TILE_MB = 205.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """Downloads of one product. num_files: what is stored. basis: how ``size_mb`` was estimated."""
+    """Downloads of one product. num_files: number of stored files. basis: how ``size_mb`` was estimated."""
 
     product: str
     num_files: int
@@ -35,9 +35,9 @@ class Estimate:
 
 
 def estimate_downloads(config: Config, terrain: Sequence[Bounds] | None = None) -> list[Estimate]:
-    """One estimate per product, of what an empty folder of downloads needs; an empty list for files on disk.
+    """One estimate per product of the downloads into an empty folder; an empty list for files on disk.
 
-    terrain: its windows; by default the tiles with their margins.
+    terrain: windows of the terrain; by default the tiles with their margins.
     """
     region, fetch = config.region, config.fetch
     if fetch.source == "folder":

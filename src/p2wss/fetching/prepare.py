@@ -32,12 +32,13 @@ def prepare(
 ) -> dict[str, Any]:
     """Write the points of a tile's cloud in ``window`` to ``out``.
 
-    paths: the tile's cloud, then those of its neighbours. The holes of the window are the bounds of the neighbours, in
-    the same order; their points belong to their own files, but help to find the ground near the edges of this tile.
-    ground: the classes that are ground. Returns the program used, the reason for using PDAL, and counts of points.
+    paths: the tile's cloud, then the clouds of its neighbours. The holes of the window are the bounds of the
+    neighbours, in the same order; their points belong to their own files, but help to find the ground near the edges of
+    this tile. ground: the classes that are ground. Returns the program used, the reason for using PDAL, and counts of
+    points.
 
-    Raises :class:`InputError` if PDAL is required but is not installed or fails, or if the class 2 with which it marks
-    the ground is not among ``ground``.
+    Raises :class:`InputError` if PDAL is required but is not installed or fails, or if it would mark ground points with
+    class 2 and ``ground`` lacks that class.
     """
     classes = count_classes(paths[0])
     num_ground = sum(classes[each] for each in set(ground))

@@ -51,8 +51,8 @@ def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
 def read_buildings(
     source: Source, region: Region, config: Fetch, bounds: Bounds, place: str
 ) -> gpd.GeoDataFrame:
-    """The footprints that intersect ``bounds``, normalised. Raises :class:`InputError`, which names the ``place``, if
-    there is none."""
+    """The footprints that intersect ``bounds``, normalised. Raises :class:`InputError` if there is none. place: the
+    bounds in words, for that message."""
     schema = config.folder.footprints_schema if config.source == "folder" else "bdtopo"
     frame = normalise(source.footprints(bounds), region.crs, source.name, schema)
     if not len(frame):

@@ -1,4 +1,4 @@
-"""Directions in a plan, where those that differ by right angles are the same."""
+"""Directions in a plan. Directions that differ by a right angle are the same."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from p2wss.skeleton.angles import bearings
 def turn_between(
     angle: np.ndarray | float, other: np.ndarray | float, quarter: float = np.pi / 2
 ) -> np.ndarray:
-    """The turn from ``other`` to ``angle``, both modulo a quarter turn: within an eighth either way. Radians, or the
-    unit in which ``quarter`` is given."""
+    """The turn from ``other`` to ``angle`` modulo a quarter turn: from minus to plus an eighth. Radians, or the unit in
+    which ``quarter`` is given."""
     return (np.asarray(angle) - other + quarter / 2) % quarter - quarter / 2
 
 
@@ -25,7 +25,8 @@ def edge_ends(rings: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def directions(rings: Sequence[np.ndarray], same_deg: float) -> list[float]:
-    """Directions of the edges of a footprint, radians modulo a quarter, the longest in sum first."""
+    """Directions of the edges of a footprint, radians modulo a quarter turn. Edges within ``same_deg`` have one
+    direction; the one with the greatest total length is first."""
     ends = edge_ends(rings)
     edge = ends[:, 1] - ends[:, 0]
     length = np.hypot(edge[:, 0], edge[:, 1])

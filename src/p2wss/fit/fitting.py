@@ -24,7 +24,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 
 METHOD = "fit"
-# where somebody asks why a roof is as it is: of each fit from there on, the id of the building and its planes, if any
+# if set, each fit appends the id of the building and its planes, or None: for those who ask why a roof is as it is
 TRACE: ContextVar[list[tuple[str, PlanesFit | None]] | None] = ContextVar("trace", default=None)
 # points of class ground, or low ones in a gap of the roof, this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
@@ -53,8 +53,8 @@ class _Task:
 class _Prepared:
     """A footprint and the points to which roofs are fitted.
 
-    rings: of the footprint, whose walls stand where the roof begins. point_m: (m, 3), the points on the roof, then
-    those of open ground. num_open: how many these are.
+    rings: the footprint, with its walls where the roof begins. point_m: (m, 3), the points on the roof, then the points
+    of open ground. num_open: the number of points of open ground.
     """
 
     rings: Sequence[np.ndarray]
@@ -66,8 +66,9 @@ class _Prepared:
 class _Solid:
     """A building before its last steps.
 
-    num_parts: bodies between which there are steps. eave_height_m: of the largest. angle_deg: of each edge of the
-    footprint. is_parametric: whether this is the building of the paper. planes: None for one.
+    num_parts: the number of bodies, with steps between them. eave_height_m: the eave of the largest body. angle_deg:
+    the angle at each edge of the footprint. is_parametric: whether this is the building of the paper; if so, ``planes``
+    is None.
     """
 
     mesh: Mesh
@@ -79,7 +80,7 @@ class _Solid:
 
 
 def fit_building(task: _Task) -> Reconstruction:
-    """The stations of a building from its points to its mesh, in order."""
+    """The reconstruction of a building: all steps from its points to its mesh, in order."""
     prepared = prepare(task)
     if isinstance(prepared, str):
         return no_mesh(task.building, METHOD, prepared)
@@ -94,8 +95,8 @@ def fit_building(task: _Task) -> Reconstruction:
 
 
 def prepare(task: _Task) -> _Prepared | str:
-    """The points on the roof, and a footprint whose walls stand where the roof begins; a reason without enough
-    points."""
+    """The points on the roof, and a footprint whose walls stand where the roof begins; or the reason why there are not
+    enough points."""
     building, config = task.building, task.config
     if not len(building.point_m):
         return reasons.NO_POINTS
@@ -124,7 +125,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     asked for."""
     config, thresholds = task.config, task.thresholds
     point_m, around_m = prepared.point_m, task.building.around_m
-    # what roofs around show counts, too: of a house with a point on each roof, the row shows the rest
+    # points on the roofs around count, too: they show what a house with few points on its roof shares with its row
     if config.roofs == "parametric" or len(point_m) + len(around_m) < thresholds.min_plane_points:
         return None
 
@@ -152,15 +153,15 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
 
 
 def known_roof(task: _Task, prepared: _Prepared, supposed_m: np.ndarray, settings: Planes) -> Mesh | None:
-    """The roof with which the search for planes begins, as few points hardly show how roofs meet: that of places (s, 3)
-    at heights which a network supposes, or without these the paper's building."""
+    """The roof with which the search for planes begins, as few points hardly show how roofs meet. It is fitted to
+    places (s, 3) at heights that a network supposes; without these, it is the parametric building of the paper."""
     supposed = fit_planes(prepared.rings, supposed_m, settings) if len(supposed_m) else None
     solid = supposed or raise_parametric(task, prepared)
     return None if isinstance(solid, str) else solid.mesh
 
 
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
-    """The parametric building of the paper that is nearest to the points; a reason without one."""
+    """The parametric building of the paper that is nearest to the points; or the reason why there is none."""
     rings, top_m = prepared.rings, task.config.max_roof_height_m
     roof = fit_roof(rings, prepared.point_m, task.thresholds.parametric, top_m)
     if roof is None:
@@ -173,7 +174,7 @@ def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
 
 
 def remove_short_edges(task: _Task, mesh: Mesh) -> Mesh:
-    """The mesh without short edges; where a face went, a vertex may be left within an edge of two others."""
+    """The mesh without short edges, and without the vertices that vanished faces leave within an edge of two others."""
     return without_straight_vertices(with_exact_faces(mesh, task.thresholds.short_edge_m))
 
 

@@ -12,14 +12,15 @@ from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.types import numbered
 
 _CELL_M = 0.5
-# Returns from walls: in a cell of the plan of this size at most this share of the points is within about this height of
-# them, and two points are at least so far above.
+# Returns from walls, in a cell of the plan of this size: less than this share of its points is within about this height
+# of such a return, and two points are at least so far above it.
 _WALL_CELL_M, _WALL_SHARE, _SAME_HEIGHT_M, _BELOW_TOP_M = 0.6, 0.25, 0.3, 2.0
 
-# Shafts: areas of so many square metres of discs of this radius, or of this multiple of the distance between points,
-# with low points near to this share of them. Points are low this far below all of so many points on the roof beside
-# them; this quantile of them is the floor. Places of floors have this share of the spacing of the points: more of
-# these, and the floor wins over the few returns from walls.
+# Shafts: areas of at least ``_MIN_SHAFT_M2``, made of discs without points on the roof. The radius of a disc is
+# ``_SHAFT_RADIUS_M``, or ``_NUM_GAPS`` distances between points if that is more. At least ``_LOW_SHARE`` of the area is
+# near to low points. A point is low if it is ``_BELOW_ROOF_M`` below each of the ``_NUM_BESIDE`` nearest points on the
+# roof. The floor is at the ``_FLOOR_QUANTILE`` of the low points. It gets points at ``_FLOOR_STEP`` times the spacing
+# of the points, so that it outweighs the few returns from walls.
 _MIN_SHAFT_M2, _SHAFT_RADIUS_M, _NUM_GAPS, _LOW_SHARE = 1.5, 0.6, 2.0, 0.2
 _FLOOR_STEP = 0.7
 _BELOW_ROOF_M, _NUM_BESIDE, _MIN_LOW_POINTS, _FLOOR_QUANTILE = 2.0, 4, 3, 0.2
@@ -52,7 +53,7 @@ def wall_hits(point_m: np.ndarray) -> np.ndarray:
     below = point_m[:, 2] < second_highest_m[column] - _BELOW_TOP_M
     if not below.any():
         return below
-    # levels of a column are apart from those of the next
+    # numbers of levels, with a gap between the levels of two columns
     num_levels = int(z.max()) + 3
     levels, level, num_at = np.unique(column * num_levels + z + 1, return_inverse=True, return_counts=True)
     num_near = num_at.copy()
@@ -79,8 +80,8 @@ def shaft_points(
     inside_m: float,
 ) -> np.ndarray:
     """Points (k, 3) on the floors of shafts and other places within the polygon that no roof covers: compact areas
-    without points on the roof (r, 3), four at least, whose points are far below those on the roof beside them. Points
-    less than ``inside_m`` within the polygon show none, as the building's own walls are seen from outside, too.
+    without points on the roof (r, 3), r >= 4, where points are far below the roof beside them. Points less than
+    ``inside_m`` within the polygon do not count, as the building's own walls are seen from outside, too.
 
     Walls hide most of such a floor, so that it gets twice as many points as a roof, at the height of the low points.
     """
@@ -99,7 +100,7 @@ def shaft_points(
     is_free = shapely.contains_xy(polygon, x_m[:, None], y_m)
     column, row = np.nonzero(is_free)
     place_m = np.column_stack([x_m[column], y_m[row]])
-    # a disc without points on the roof, of which each place is part
+    # the places that are in a disc without points on the roof
     radius_m = max(_SHAFT_RADIUS_M, _NUM_GAPS * gap_m)
     middle_m = place_m[nearest(roof_m[:, :2], place_m)[0][:, 0] > radius_m]
     if not len(middle_m):
@@ -121,14 +122,14 @@ def shaft_points(
 
 
 def median(value: np.ndarray) -> float:
-    """The median of some values (n,), of which there is at least one."""
+    """The median of values (n,), at least one."""
     ordered = np.sort(value)  # numpy's own takes several times as long for a few values
     return float(ordered[(len(value) - 1) // 2] + ordered[len(value) // 2]) / 2
 
 
 def quantile(value: np.ndarray, share: float) -> float:
-    """The value below which a share of some values (n,) is, between two of them as numpy's own: that takes ten times as
-    long for a few values."""
+    """The quantile of some values (n,), interpolated as by numpy, whose own function takes ten times as long for a few
+    values. share: 0 to 1."""
     ordered, place = np.sort(value), share * (len(value) - 1)
     low, high = ordered[int(place)], ordered[min(int(place) + 1, len(value) - 1)]
     rest = place % 1

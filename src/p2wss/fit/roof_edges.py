@@ -20,19 +20,19 @@ class Rules(NamedTuple):
     """Where a roof ends beside an edge, and which edges move; all set by hand from what clouds of real houses show.
 
     min_edge_m: shorter edges stay. at_corner_m: points this near to the ends of an edge may belong to the next wall.
-    bin_m: length of an edge for which the end of the roof is sought. bands_m: the roof behind an edge is a line through
-    the median heights of the points at these distances from it, no steeper than the tangent ``steepest``. below_roof_m:
-    points further below it are on a wall or on the ground. min_points: in each band. min_bins_share: of the length of
-    an edge that shows the end of the roof.
+    bin_m: the end of the roof is sought for each piece of an edge of this length. bands_m: the roof behind an edge is a
+    line through the median heights of the points at these distances from the edge, no steeper than the tangent
+    ``steepest``. below_roof_m: points further below this line are on a wall or on the ground. min_points: the least
+    number in each band. min_bins_share: the least share of the pieces of an edge that show the end of the roof.
 
-    min_shift_m: a wall is moved by at least this much. min_remaining_m: what remains of an edge. min_turn: sine of the
-    turn at a corner that can be found from the lines of its edges.
+    min_shift_m: a wall is moved by at least this much. min_remaining_m: the least length that remains of an edge.
+    min_turn: the least sine of the turn at a corner for which the corner is where the lines of its edges meet.
 
-    ground_share, beyond_m, most_building: beyond a wall that moves is open ground, which has at least this share of the
-    points between the wall and the edge; within this distance beyond the edge, further than which no points are at
-    hand, at most so many points are of buildings for each of the ground. In a row of houses, a neighbour's wall or
-    lower roof is there instead. near_edge_m: points of the building this near to the end of the roof are of the same
-    edge.
+    ground_share, beyond_m, most_building: beyond a wall that moves is open ground. More than ``ground_share`` of the
+    points between the wall and the edge are of the ground. Up to ``beyond_m`` beyond the edge, there are at most
+    ``most_building`` points of buildings for each point of the ground; further out, no points are at hand. In a row of
+    houses, a neighbour's wall or lower roof is there instead. near_edge_m: points of the building this near to the end
+    of the roof belong to the same edge.
     """
 
     min_edge_m: float = 2.0
@@ -67,7 +67,7 @@ def move_walls(
     max_shift_m: float,
 ) -> list[np.ndarray]:
     """The rings with edges of the exterior moved inwards to where the points of the building (k, 3) begin, by at most
-    ``max_shift_m``. The number of vertices stays, and those between edges that stay.
+    ``max_shift_m``. The number of vertices stays the same, and vertices between two edges that stay do not move.
 
     Only an edge moves along which there is open ground instead of a roof, so never a party wall. point_m (m, 3),
     classification (m,): all points in and around the footprint.
@@ -84,7 +84,7 @@ def move_walls(
             is_far = within_m >= RULES.min_shift_m
             if is_far and _is_open(*ends, within_m, ground_m, building_m, RULES.ground_share):
                 shift_m[i] = within_m
-    # a short edge between two that move, the chamfer of a corner, moves with them
+    # a short edge between two edges that move, such as the chamfer of a corner, moves with them
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < RULES.min_edge_m).tolist():
         shift_m[i] = min(shift_m[i - 1], shift_m[(i + 1) % len(ring)])
     moved = _moved_ring(ring, shift_m, 2 * max_shift_m)
@@ -95,8 +95,8 @@ def move_walls(
 
 
 def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndarray:
-    """The ring (n, 2) after its edges have moved inwards by ``shift_m`` (n,), none of which turns. An edge stays where
-    it would move a corner by more than ``most_m``, or leave hardly anything of an edge."""
+    """The ring (n, 2) after its edges have moved inwards by ``shift_m`` (n,), without turning. An edge stays if it
+    would move a corner by more than ``most_m``, or make another edge or itself too short."""
     after = edge_ends([ring])[:, 1]
     length = np.linalg.norm(after - ring, axis=1)
     along = (after - ring) / np.maximum(length, _LEAST_M)[:, None]
@@ -122,8 +122,9 @@ def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndar
 
 
 def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
-    """How far the roof of class building reaches beyond each edge (e, 2), negative where it ends within; NaN where the
-    points do not show it, as along party walls: the ground must begin where the roof ends, within 1 m of the edge.
+    """How far the roof of class building reaches beyond each edge (e, 2), metres; negative where it ends within. NaN
+    where the points do not show it, as along party walls: the ground must begin where the roof ends, within 1 m of the
+    edge.
 
     ring: (e, 2), counter-clockwise. point_m (m, 3), classification (m,): all points up to 1 m around the footprint.
     """
@@ -135,7 +136,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
         if not len(begins_m):
             continue
         ground_depth_m, depth_m = (_beside(start, end, each)[1] for each in (ground_m, building_m))
-        # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
+        # the roof ends a little beyond its last point: the median of this gap is ln 2 over the density
         num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
         inner_length_m = np.hypot(*(end - start)) - 2 * _AT_CORNER_M
         gap_m = math.log(2) * (_FAR_M - _NEAR_M) * inner_length_m / max(num_behind, 1)
@@ -163,8 +164,8 @@ def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.nd
 def _beside(
     start: np.ndarray, end: np.ndarray, point_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the points (m, 2 or 3) beside an edge, but not beside its ends: the place along it from 0 to 1, how far they
-    are behind it, and their rows."""
+    """(share along the edge from 0 to 1, depth behind the edge in metres, row) of the points (m, 2 or 3) that are
+    beside an edge, but not near its ends."""
     length = max(np.hypot(end[0] - start[0], end[1] - start[1]), _LEAST_M)
     x, y = (end[0] - start[0]) / length, (end[1] - start[1]) / length
     share, depth, row = np.empty(len(point_m)), np.empty(len(point_m)), np.empty(len(point_m), np.int64)
@@ -180,8 +181,8 @@ def _beside(
 
 @entry
 def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float) -> np.ndarray:
-    """How far behind an edge the roof begins, ``least_m`` or more, for each metre of its length; empty where too few
-    show it."""
+    """How far behind an edge the roof begins, ``least_m`` or more, for each piece of the edge that shows it; empty if
+    too few pieces do. A piece is ``bin_m`` long."""
     length = np.hypot(end[0] - start[0], end[1] - start[1])
     if length < RULES.min_edge_m:
         return np.zeros(0)
@@ -219,8 +220,8 @@ def _is_open(
     building_m: np.ndarray,
     ground_share: float,
 ) -> bool:
-    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge: more than
-    ``ground_share`` of the points within it are of the ground."""
+    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge. More than
+    ``ground_share`` of the points up to ``shift_m`` within the edge must be of the ground."""
     inside, beyond = [], []
     for xy_m in (ground_m, building_m):
         _, depth, _ = _beside(start, end, xy_m)

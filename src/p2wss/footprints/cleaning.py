@@ -1,4 +1,4 @@
-"""Read footprints and clean them into polygons for the kernel. Each keeps a row, with a reason if it is excluded."""
+"""Read footprints and clean them into polygons for the kernel. Excluded footprints keep a row, with a reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_stat
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.overlaps import COLUMN, tell, without_overlaps
 from p2wss.footprints.schemas import building_ids, by_name, schema_of, stated_heights_m, taken_part_numbers
-from p2wss.footprints.vector_files import NO_POLYGONS, no_geometry, read_attributes, read_vector
+from p2wss.footprints.vector_files import NO_POLYGONS, file_of, no_geometry, read_attributes, read_vector
 from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal, placed
@@ -37,9 +37,9 @@ _TYPES_WITH_POLYGONS = [
 _OPENING_M = 0.15
 # columns that reading and cleaning add
 ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
-# what the names of the input's own columns begin with meanwhile, where they are those of ours
+# prefix that a column of the input gets for the time being if it has the name of one of these columns
 OF_INPUT = "p2wss_input "
-# column of sets: the numbers of parts of a feature that would give them the id of another feature of its file
+# column of sets: numbers that parts of a feature must not get, as their ids would be ids of other features of the file
 _TAKEN = "p2wss_taken_part_numbers"
 _TOO_SMALL = skeleton.Status.TOO_SMALL.reason
 
@@ -54,23 +54,24 @@ def read_footprints(
     metric: MetricCrs | None = None,
     layer: str = "",
 ) -> Features:
-    """Read a vector file with polygons, in the order of the file, or take those of a table, and add the columns
-    ``building_id`` (text), ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up. The names of
-    its own columns that are those of ours, or of cleaning, begin with :data:`OF_INPUT`; one of these ids is not kept.
+    """The footprints of a vector file, in the order of the file, or of a table, with the columns ``building_id`` (text)
+    and ``stated_height_m`` (NaN if unknown) added, and one that :func:`split_parts` removes again.
 
-    id_field, schema: where the ids come from (:func:`p2wss.footprints.schemas.building_ids`); they do not depend on
-    ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.footprints.schemas.
-    stated_heights_m`). bounds: read only features that intersect this window, in the CRS of the file. needs_crs:
-    whether a missing CRS is an error. metric: the CRS to which footprints are reprojected; those without a CRS are
-    taken to be in that of the clouds. layer: of the file; "" is the first with polygons.
+    An own column of the input with a name that reading or cleaning adds gets the prefix :data:`OF_INPUT`; an own column
+    ``building_id`` with just these ids is dropped. id_field, schema: where the ids come from
+    (:func:`p2wss.footprints.schemas.building_ids`); they do not depend on ``bounds``. height_field, schema: columns
+    with the height of a building (:func:`~p2wss.footprints.schemas.stated_heights_m`). bounds: read only features that
+    intersect this window, in the CRS of the file. needs_crs: whether a missing CRS is an error. metric: the CRS to
+    which footprints are reprojected; footprints without a CRS are taken to be in the CRS of the clouds. layer: of the
+    file; "" is the first with polygons.
 
-    Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS, or one in degrees without
-    ``metric``, or if ``id_field`` or ``height_field`` is missing.
+    Raises :class:`InputError` if the file is missing or broken, if it has no polygons, no CRS, or without ``metric`` a
+    CRS in degrees, or if ``id_field`` or ``height_field`` is missing.
     """
     if isinstance(path, str | Path):
         features, number = read_vector(path, bounds, layer)
     else:
-        features, number, path = Features.of(path), np.arange(len(path)), "footprints"
+        features, number, path = Features.of(path), np.arange(len(path)), file_of(path)
     types = shapely.get_type_id(features.geometry)
     if len(features) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
         is_lost = shapely.is_missing(features.geometry).all()
@@ -107,19 +108,19 @@ def read_footprints(
 
 
 def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> Features:
-    """The features that intersect a window, and all others of their blocks
-    (:func:`p2wss.footprints.coverage.block_numbers`), on which their cleaning depends: what
-    :func:`clean_footprints` makes of a footprint is then the same for any window.
+    """The features that intersect a window, and all other features of their blocks
+    (:func:`p2wss.footprints.coverage.block_numbers`), on which their cleaning depends. So :func:`clean_footprints`
+    returns the same footprint for any window.
 
     Otherwise as :func:`read_footprints`.
     """
-    # a window in which no block of the features continues beyond the border
+    # grow the window until no block of these features continues beyond it
     reach, window = grown(bounds, snap_m), grown(bounds, snap_m)
     while True:
         features = read_footprints(path, bounds=window)
         shapes, _ = repaired(features.geometry)
         block = block_numbers(shapes, snap_m)
-        # one that cannot be repaired is empty now, but was read: it keeps a row, with its reason
+        # a feature that cannot be repaired is empty now, but was read: it keeps a row, with its reason
         touches = shapely.intersects(shapes, shapely.box(*bounds)) | shapely.is_empty(shapes)
         is_member = np.isin(block, block[touches])
         if not is_member.any():
@@ -132,15 +133,14 @@ def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> Featur
 
 
 def split_parts(features: Features, min_area_m2: float, tolerance_m: float = 0.2) -> Features:
-    """Split multipolygons into rows with one valid 2D polygon each, and add ``status`` and the centre of each.
+    """Split multipolygons into rows with one valid 2D polygon each, and add the columns ``status``, ``centre_x_m`` and
+    ``centre_y_m``: the centre of the bounding box of the polygon, or of the geometry if there is no polygon.
 
-    ``centre_x_m`` and ``centre_y_m`` are of the bounding box of the polygon (if there is none, of the geometry).
-
-    Geometries are repaired by :func:`p2wss.footprints.limits.repaired`, with ``tolerance_m``. If one then has
-    several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
-    suffixes -1, -2, .. in order, without those that are ids of other features: of any in the file, also outside the
-    window that was read (:func:`read_footprints`), so that no part has the name of another part or feature in whatever
-    tile. A geometry without polygons keeps its row, with an empty polygon and the reason as ``status``.
+    Geometries are repaired by :func:`p2wss.footprints.limits.repaired`, with ``tolerance_m``. If a geometry then has
+    several polygons, the largest one is kept, and every other one of at least ``min_area_m2``. Their ids get the
+    suffixes -1, -2, .. in order. A suffix is skipped if another feature in the file has the id, even outside
+    the window that was read (:func:`read_footprints`). So no part has the id of another part or feature in any tile.
+    A geometry without polygons keeps its row, with an empty polygon and the reason as ``status``.
     """
     shapes = features.geometry
     is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
@@ -179,7 +179,7 @@ def split_parts(features: Features, min_area_m2: float, tolerance_m: float = 0.2
 
 
 def _box_centres(shapes: np.ndarray) -> np.ndarray:
-    """Centre of each bounding box, (n, 2); NaN for an empty geometry."""
+    """The centre of the bounding box of each geometry, (n, 2); NaN for an empty one."""
     bounds = shapely.bounds(shapes)
     return (bounds[:, :2] + bounds[:, 2:]) / 2
 
@@ -187,14 +187,14 @@ def _box_centres(shapes: np.ndarray) -> np.ndarray:
 def clean_footprints(features: Features, config: Scenes) -> Features:
     """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
 
-    After :func:`split_parts`, each place belongs to one footprint (:func:`p2wss.footprints.overlaps.
-    without_overlaps`). Then footprints that touch, overlap or are at most ``snap_m`` apart are cleaned as one
-    coverage (:func:`p2wss.footprints.coverage.clean_coverage`), so that they keep the walls that they share. A
-    footprint that cannot be part of it, for instance because it touches itself, is cut apart where it does, and cleaned
-    by itself. Every footprint keeps a row: ``status`` is "ok" or the reason for exclusion, and an excluded footprint
-    has an empty polygon.
+    After :func:`split_parts`, overlaps are removed, so that each place belongs to one footprint
+    (:func:`p2wss.footprints.overlaps.without_overlaps`). Then footprints that touch, overlap or are at most ``snap_m``
+    apart are cleaned as one coverage (:func:`p2wss.footprints.coverage.clean_coverage`), so they keep their shared
+    walls. A footprint that cannot be part of a coverage, for instance because it touches itself, is cut apart there and
+    cleaned by itself. Every footprint keeps a row: ``status`` is "ok" or the reason for exclusion, and an excluded
+    footprint has an empty polygon.
 
-    The result of a footprint depends on those of its block only, and not on the order of the rows.
+    The result of a footprint depends only on the footprints of its block, and not on the order of the rows.
     """
     features = split_parts(features, config.min_area_m2, config.simplify_m)
     is_small = (features["status"] == reasons.OK) & (shapely.area(features.geometry) < config.min_area_m2)
@@ -202,7 +202,7 @@ def clean_footprints(features: Features, config: Scenes) -> Features:
     while True:
         alone, is_covering = without_overlaps(features)
         result = _cleaned(alone, config)
-        # those in whose place others are not built must be built
+        # a footprint that takes the place of others must be built; if it is not, the others are
         is_lost = is_covering & (alone["status"] == reasons.OK) & (result["status"] != reasons.OK)
         if not is_lost.any():
             tell(result)
@@ -211,14 +211,14 @@ def clean_footprints(features: Features, config: Scenes) -> Features:
 
 
 def _excluding(features: Features, is_excluded: np.ndarray, reason: str | np.ndarray) -> Features:
-    """The footprints, of which some have a reason and no polygon."""
+    """The footprints, in which ``is_excluded`` ones get the ``reason`` as status, and an empty polygon."""
     status, shapes = np.where(is_excluded, reason, features["status"]), features.geometry.copy()
     shapes[is_excluded] = shapely.Polygon()
     return replace(features.having(status=status), geometry=shapes)
 
 
 def _cleaned(result: Features, config: Scenes) -> Features:
-    """The footprints as coverages, or each by itself where it cannot be part of one."""
+    """The footprints, cleaned as coverages, or alone if a footprint cannot be part of one."""
     status, shapes = result["status"].copy(), result.geometry.copy()
     usable = np.flatnonzero(status == reasons.OK)
     shapes[usable] = [_without_small_courtyards(shape, config.min_area_m2) for shape in shapes[usable]]
@@ -230,15 +230,16 @@ def _cleaned(result: Features, config: Scenes) -> Features:
 
 
 def uncleaned_footprints(features: Features, config: Scenes) -> Features:
-    """The polygons of :func:`split_parts` as they are, with rings in the directions and with the status that
-    :func:`clean_footprints` gives them: what remains where that fails."""
+    """The footprints for a block at which :func:`clean_footprints` fails: the polygons of :func:`split_parts`, only
+    oriented and with a status in the same way."""
     result = split_parts(features, config.min_area_m2, config.simplify_m)
     shapes = shapely.orient_polygons(result.geometry)
     return _without_excluded(result, shapes, result["status"].copy(), config)
 
 
 def _without_excluded(features: Features, shapes: np.ndarray, status: np.ndarray, config: Scenes) -> Features:
-    """The features with these polygons, without those that are too small or have too many edges."""
+    """The features with these polygons and this status. Polygons that are too small or have too many edges are
+    excluded: they get the reason as status, and become empty."""
     status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
     status[(status == reasons.OK) & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
@@ -247,7 +248,8 @@ def _without_excluded(features: Features, shapes: np.ndarray, status: np.ndarray
 
 
 def _clean_alone(shape: shapely.Polygon, config: Scenes) -> tuple[shapely.Polygon, str]:
-    """(the largest piece of a footprint that cannot be cleaned as it is, the reason if that cannot be either)."""
+    """(the cleaned largest piece of a footprint that cannot be cleaned as a whole, "ok"); or an empty polygon and the
+    reason, if the piece cannot be cleaned either."""
     piece = _cut_apart(shape)
     if piece is None:
         return shapely.Polygon(), _TOO_SMALL

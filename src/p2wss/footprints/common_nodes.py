@@ -15,10 +15,10 @@ from p2wss.skeleton.types import Polygons, next_in_ring
 class Nodes:
     """Rings that share nodes.
 
-    xy_m: float64 (n, 2). node: int64 (num_vertices,), the node of each vertex of the rings. ring_offset: ring r has
-    the vertices ``ring_offset[r]:ring_offset[r + 1]``. No ring repeats a node twice in a row, and one may have fewer
-    than three. input_end: int64 (num_vertices,), of the edge of the input that the edge to each vertex is part of, the
-    vertex at which it ends.
+    xy_m: float64 (n, 2), the places of the nodes. node: int64 (num_vertices,), the node of each vertex of the rings.
+    ring_offset: ring r has the vertices ``ring_offset[r]:ring_offset[r + 1]``. No ring has the same node twice in a
+    row, but a ring may have fewer than three nodes. input_end: int64 (num_vertices,); the edge that ends at a vertex is
+    part of an edge of the input, and this is the input's vertex at which that edge ends.
     """
 
     xy_m: np.ndarray
@@ -29,10 +29,10 @@ class Nodes:
 
 def join_rings(polygons: Polygons, snap_m: float) -> Nodes:
     """The nodes of all rings. Vertices of different polygons at most ``snap_m`` apart become one node at their mean,
-    nearest first; then a node at most that far from the edge of another polygon moves onto it and divides it.
+    the nearest ones first. Then a node at most ``snap_m`` from an edge of another polygon moves onto it and divides it.
 
-    polygons: in coordinates in which their distances are accurate. The result for a polygon does not depend on
-    polygons further away than chains of such neighbours reach, nor on the order of the polygons.
+    polygons: with coordinates that are accurate enough for distances. The result for a polygon depends only on polygons
+    to which a chain of such neighbours leads, not on the order of the polygons.
     """
     polygon_of_ring = np.repeat(np.arange(len(polygons)), np.diff(polygons.polygon_offset))
     polygon = np.repeat(polygon_of_ring, np.diff(polygons.ring_offset))
@@ -42,10 +42,10 @@ def join_rings(polygons: Polygons, snap_m: float) -> Nodes:
 
 
 def without_repeats(node: np.ndarray, ring_offset: np.ndarray, *others: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(nodes, offsets, others) of rings, at least one, without consecutive equal nodes. others: what is known of each
-    vertex."""
+    """(nodes, ring offsets, *others) of at least one ring, without consecutive equal nodes. others: further arrays with
+    a value per vertex."""
     keep = node != node[previous_in_ring(ring_offset)]
-    # a ring of one repeated node keeps it
+    # a ring of one repeated node keeps its first vertex
     counts = np.add.reduceat(keep, ring_offset[:-1])
     keep[ring_offset[:-1][counts == 0]] = True
     offset = np.concatenate([[0], np.cumsum(np.maximum(counts, 1))])
@@ -53,14 +53,14 @@ def without_repeats(node: np.ndarray, ring_offset: np.ndarray, *others: np.ndarr
 
 
 def previous_in_ring(ring_offset: np.ndarray) -> np.ndarray:
-    """For each vertex the index of the vertex before it in its ring; no ring is empty."""
+    """The index of the vertex before each vertex in its ring. No ring may be empty."""
     previous = np.arange(-1, ring_offset[-1] - 1)
     previous[ring_offset[:-1]] = ring_offset[1:] - 1
     return previous
 
 
 def _polygons_of(number: np.ndarray, polygon: np.ndarray) -> dict[int, set[int]]:
-    """The polygons of each node, or edge, by its number."""
+    """The polygons of each node or edge, by the number of the node or edge."""
     result: defaultdict[int, set[int]] = defaultdict(set)
     for k, p in zip(number.tolist(), polygon.tolist(), strict=True):
         result[k].add(p)
@@ -70,7 +70,8 @@ def _polygons_of(number: np.ndarray, polygon: np.ndarray) -> dict[int, set[int]]
 def _merge_vertices(
     xy_m: np.ndarray, node: np.ndarray, polygon: np.ndarray, snap_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes of different polygons that are close become one, all within ``snap_m`` of each other."""
+    """(places of nodes, node of each vertex) after close nodes of different polygons are merged. Merged nodes are all
+    within ``snap_m`` of each other."""
     point = np.asarray(shapely.points(xy_m), object)
     pairs = shapely.STRtree(point).query(point, predicate="dwithin", distance=snap_m * 1.001)
     first, second = pairs = pairs[:, pairs[0] < pairs[1]]
@@ -106,7 +107,7 @@ def _merge_vertices(
 def _divide_edges(
     xy_m: np.ndarray, node: np.ndarray, ring_offset: np.ndarray, polygon_of_ring: np.ndarray, snap_m: float
 ) -> Nodes:
-    """Nodes move onto edges of other polygons that they are near, and become nodes of those, too."""
+    """Move nodes onto near edges of other polygons, and insert them there."""
     node, ring_offset, input_end = without_repeats(node, ring_offset, np.arange(len(node)))
     polygon = np.repeat(polygon_of_ring, np.diff(ring_offset))
     end = node[next_in_ring(ring_offset)]
@@ -141,7 +142,7 @@ def _divide_edges(
     xy_m = xy_m.copy()
     for k, foot in moved.items():
         xy_m[k] = foot
-    # each vertex of a ring, followed by the nodes on its edge in the order of the ring
+    # each vertex of a ring, followed by the nodes inserted in the edge from it, in the order of the ring
     rows = np.array(inserted, int)
     by_edge = rows[np.argsort(of_edge[rows], kind="stable")]
     low, high = np.searchsorted(of_edge[by_edge], edge), np.searchsorted(of_edge[by_edge], edge, side="right")

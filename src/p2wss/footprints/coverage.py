@@ -1,8 +1,8 @@
-"""Clean footprints as coverages, block by block, so that neighbours keep the walls that they share.
+"""Clean footprints as coverages, block by block, so that neighbours keep their shared walls.
 
-A block is a set of footprints that touch, nearly touch or overlap, often one alone. Its footprints are joined in common
-nodes (:mod:`p2wss.footprints.common_nodes`) and simplified along the lines between the nodes where walls meet. All
-blocks are cleaned at once; nothing that happens to one depends on the others.
+A block is a set of footprints that touch, nearly touch or overlap; often it is a single footprint. Its footprints get
+common nodes (:mod:`p2wss.footprints.common_nodes`), and are simplified along the lines between the nodes where walls
+meet (arcs). All blocks are cleaned at once, but the result for a block does not depend on other blocks.
 """
 
 from __future__ import annotations
@@ -20,35 +20,36 @@ from p2wss.footprints.common_nodes import join_rings, previous_in_ring, without_
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import Polygons, cross, distinct, next_in_ring, numbered
 
-# a vertex that is nearer to the line between its neighbours is within an edge
+# a vertex nearer than this to the line between its neighbours lies within an edge
 _WITHIN_EDGE_M = 1e-6
-# one that is nearer than this moves there: solids have no wall that turns by less
+# a vertex nearer than this to the line is moved onto it, as solids have no walls that bend by less; rounds of moving
 _STRAIGHT_M, _NUM_ROUNDS = 5e-3, 6
-# of walls at a vertex, and of a vertex from the line between its neighbours: with less it goes
+# a vertex is removed if walls turn by less there, or if it is nearer to the line between its neighbours
 _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
-# of the angle between walls of which it is known where they meet
+# two walls have a reliable intersection if the sine of their angle is at least this
 _MIN_SINE = 0.2
-# a shorter wall, as of a curve, may turn by more than this, and so may one that does not lead from end to end
+# a wall must not turn by more than the angle, unless it is shorter than the length, as pieces of a curve are, or does
+# not lead from end to end: the share of its length along the line between the ends is less than the last number
 _MIN_WALL_M, _MAX_TURN_DEG, _MIN_FORWARD = 1.5, 1.0, 0.85
-# a narrower overlap is rounding; a wider one is of two records of a house, those between of neighbours with a wall
+# a narrower overlap is rounding, a wider one has two records of the same house; between, it is a wall of neighbours
 _MIN_OVERLAP_M, _MAX_OVERLAP_M = 2e-3, 0.5
 
 
 def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
-    """The number of the block of each polygon, int64 (n,). Polygons at most ``snap_m`` apart are of one block; an empty
-    one is a block of its own."""
+    """int64 (n,): the block of each polygon. Polygons at most ``snap_m`` apart are in one block; an empty polygon is a
+    block of its own."""
     a, b = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=snap_m)
     return groups(len(shapes), np.column_stack([a, b]))
 
 
 def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
-    """The polygons as coverages, one per block, an object array in the same order; None for a polygon that cannot be
-    part of its coverage, for instance because it is so narrow that it collapses.
+    """The polygons cleaned as coverages, one per block: object array in the same order. None for a polygon that cannot
+    be part of its coverage, for instance because it is so narrow that it collapses.
 
-    shapes: valid polygons. settings: of which ``snap_m``, ``simplify_m`` and ``min_edge_m`` count. Exteriors become
-    counter-clockwise, courtyards clockwise. Shared walls have the same lines, and corners of both sides are
-    bit-identical. Neighbours that overlap by up to half a metre are divided; wider overlaps remain. The result for a
-    polygon depends on its block only, and not on the order of the polygons. Never raises for valid polygons.
+    shapes: valid polygons. settings: ``snap_m``, ``simplify_m`` and ``min_edge_m`` are used. Exteriors become
+    counter-clockwise, courtyards clockwise. The two sides of a shared wall lie on the same line, and their corners are
+    bit-identical. Overlaps of neighbours up to half a metre wide are divided; wider overlaps remain. The result for a
+    polygon depends only on its block, and not on the order of the polygons. Never raises for valid polygons.
     """
     result = np.full(len(shapes), None, dtype=object)
     if not len(shapes):
@@ -77,8 +78,8 @@ def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
 def _clean(
     shapes: np.ndarray, origin: np.ndarray, block: np.ndarray, settings: Scenes
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(polygons, whether each can be part of its coverage); they are coverages if all can be. block: (n,), the number
-    of that of each; origin: (n, 2), its corner."""
+    """(cleaned polygons, whether each can be part of its coverage). The polygons are of use only if all can be. block:
+    (n,), the block of each polygon. origin: (n, 2), the corner of this block."""
     polygons = polygon_arrays.to_polygons(shapes)
     nodes = join_rings(polygons, settings.snap_m)
     of_node = np.zeros(len(nodes.xy_m), np.int64)
@@ -95,7 +96,7 @@ def _clean(
     line_m = np.stack([start_m, polygons.xy_m], axis=1)[nodes.input_end]
     line_m -= origin[before.polygon_of_vertex][:, None]
     line_m = arcs.lines_of_edges(np.column_stack([node[previous_in_ring(nodes.ring_offset)], node]), line_m)
-    # simplified, walls may cross: then they keep more of their vertices
+    # simplified walls may cross: then they keep more of their vertices
     tolerances = np.array([settings.simplify_m, 0.0, -1.0])
     level = np.zeros(len(arcs.offset) - 1, np.int64)
     for _ in tolerances:
@@ -108,25 +109,26 @@ def _clean(
         level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
         return np.zeros(0, object), is_whole
-    # nothing that happens to one block depends on the others
+    # if refitted walls cross, all nodes of the block go back: the result for a block must not depend on other blocks
     crossing = np.isin(block, block[~rings.are_whole(refitted_m)])[rings.polygon_of_vertex]
     refitted_m[rings.node[crossing]] = xy_m[rings.node[crossing]]
     xy_m = rings.straightened(refitted_m)
     result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
-    # one that is hardly more than a spike the kernel does not take
+    # the kernel rejects a polygon that is hardly more than a spike
     return polygon_arrays.to_geometries(result), kernel_status(result) == skeleton.Status.OK
 
 
 def _divided(shapes: np.ndarray, cleaned: np.ndarray, snap_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """(the polygons without what two of them have in common, whether each is one of two such) where cleaned ones still
-    overlap, nowhere wider than half a metre. The common area goes to one of both, so that fewer corners are left."""
+    """(the polygons without the common areas of two, whether each polygon had one). Common areas are divided where the
+    cleaned polygons still overlap, unless wider than half a metre. The area goes to the polygon with which fewer
+    corners are left."""
     first, second = shapely.STRtree(cleaned).query(cleaned, predicate="intersects")
     pairs = np.column_stack([first, second])[first < second]
     overlaps = _is_wide(shapely.intersection(*cleaned[pairs.T]), _MIN_OVERLAP_M)
     shapes, is_divided = shapes.copy(), np.zeros(len(shapes), bool)
     for pair in np.unique(pairs[overlaps], axis=0):
         common = shapely.intersection(*shapes[pair])
-        # beside overlaps that the snapping closes, spikes would be left
+        # opened, as spikes would be left beside overlaps that snapping closes
         rest = _buffered(_buffered(shapely.difference(shapes[pair], common), -snap_m / 2), snap_m / 2)
         rest = np.array([max(shapely.get_parts(each), key=shapely.area) for each in rest])
         is_left = (shapely.area(rest) > shapely.area(shapes[pair]) / 2).all()
@@ -138,25 +140,25 @@ def _divided(shapes: np.ndarray, cleaned: np.ndarray, snap_m: float) -> tuple[np
 
 
 def _buffered(shapes: np.ndarray, distance_m: float) -> np.ndarray:
-    """The polygons with their edges moved outwards."""
+    """The polygons with their edges moved outwards by a distance, inwards if it is negative."""
     return np.asarray(shapely.buffer(shapes, distance_m, join_style="mitre"))
 
 
 def _is_wide(shapes: np.ndarray, width_m: float) -> np.ndarray:
-    """Whether a circle of such a diameter is within each polygon, bool (n,)."""
+    """bool (n,): whether a circle with the diameter ``width_m`` fits into each polygon."""
     return ~shapely.is_empty(shapely.buffer(shapes, -width_m / 2))
 
 
 def kernel_status(polygons: Polygons) -> np.ndarray:
-    """What the kernel says of each polygon under a flat roof, :class:`p2wss.skeleton.Status` (n,)."""
+    """The kernel's :class:`p2wss.skeleton.Status` for each polygon with a flat roof, (n,)."""
     flat = np.full(len(polygons.xy_m), 90.0)
     return skeleton.build(polygons, flat, np.ones(len(polygons))).status
 
 
 @dataclass(frozen=True)
 class _Rings:
-    """Rings of nodes. A ring of fewer than three nodes counts as none, and so do those of a polygon whose exterior is
-    none; polygon p has the rings ``polygon_offset[p]:polygon_offset[p + 1]``."""
+    """Rings of nodes. Polygon p has the rings ``polygon_offset[p]:polygon_offset[p + 1]``. A ring of fewer than three
+    nodes does not count. If the exterior of a polygon does not count, none of its rings does."""
 
     node: np.ndarray
     ring_offset: np.ndarray
@@ -169,7 +171,7 @@ class _Rings:
         return np.repeat(of_ring, np.diff(self.ring_offset))
 
     def polygons(self, xy_m: np.ndarray) -> Polygons:
-        """The polygons, with places of the nodes."""
+        """The polygons, with the nodes at these places."""
         count = np.diff(self.ring_offset)
         of_ring = np.repeat(np.arange(len(self.polygon_offset) - 1), np.diff(self.polygon_offset))
         is_ring = (count > 2) & (count[self.polygon_offset[:-1]] > 2)[of_ring]
@@ -186,19 +188,19 @@ class _Rings:
         return shapely.is_valid(shapes) & ~shapely.is_empty(shapes)
 
     def _is_inner(self, xy_m: np.ndarray, most_m: float) -> np.ndarray:
-        """Whether each vertex is nearer than ``most_m`` to the line between its neighbours."""
+        """Whether each vertex lies between its neighbours, nearer than ``most_m`` to the line through them."""
         here = xy_m[self.node]
         before, after = here[previous_in_ring(self.ring_offset)], here[next_in_ring(self.ring_offset)]
         u, v = here - before, after - here
-        # without a division, as both neighbours of a spike are in one place
+        # without a division, as both neighbours of a spike's tip are in one place
         is_near = np.abs(cross(u, v)) < most_m * np.hypot(*(after - before).T)
         return np.asarray(is_near & ((u * v).sum(axis=1) > 0))
 
     def straightened(self, xy_m: np.ndarray) -> np.ndarray:
-        """The places of the nodes after those at which a wall hardly turns have moved onto the line between its ends,
-        of the longest where there are several. Such a node is a corner of a neighbouring building: its wall ends there
-        as before, and this one is a plane. Walls of two buildings that have an edge in common are one, as otherwise
-        each would move its nodes and bend the other."""
+        """The places of the nodes after straightening: a node at which a wall hardly turns moves onto the line between
+        the ends of the wall, of the longest wall if there are several. Such a node is a corner of a neighbouring
+        building: the neighbour's wall still ends there, and this wall becomes a plane. Walls of two buildings with a
+        common edge count as one wall, as otherwise each would move its nodes and bend the other."""
         xy_m, num = xy_m.copy(), len(xy_m)
         before, after = previous_in_ring(self.ring_offset), next_in_ring(self.ring_offset)
         pair, edge = numbered(np.sort(np.column_stack([self.node, self.node[after]]), axis=1) @ [num, 1])
@@ -206,11 +208,12 @@ class _Rings:
             row = np.flatnonzero(self._is_inner(xy_m, _STRAIGHT_M))
             linked = edge[np.column_stack([before[row], row])]
             wall, member = num * groups(len(pair), linked), distinct(linked)
-            # at an end of a wall is one edge of it
+            # an end of a wall is a node with only one of its edges
             end, count = np.unique(wall[member] + np.divmod(pair[member], num), return_counts=True)
             end, here = end[count == 1], wall[linked[:, 0]]
             first, last = np.searchsorted(end, here), np.searchsorted(end, here + num) - 1
-            # that line may be too far away, as of a wall that turns a little more than once
+            # the line between the ends may be too far away, if the wall turns a little several times; then the line
+            # between the neighbours is used
             is_wall = first < last
             ends = np.stack([end[first[is_wall]] % num, end[last[is_wall]] % num])
             start_m, end_m = xy_m[np.hstack([ends, self.node[[before[row], after[row]]]])]
@@ -226,7 +229,7 @@ class _Rings:
         return xy_m
 
     def without_inner(self, xy_m: np.ndarray) -> _Rings:
-        """The rings without the vertices within their edges, which are corners of neighbours only."""
+        """The rings without the vertices that lie within their edges, which are only corners of neighbours."""
         keep = ~self._is_inner(xy_m, _WITHIN_EDGE_M)
         num_kept = np.concatenate([[0], np.cumsum(keep)])
         return _Rings(self.node[keep], num_kept[self.ring_offset], self.polygon_offset)
@@ -234,9 +237,9 @@ class _Rings:
 
 @dataclass(frozen=True)
 class _Arcs:
-    """The lines between the nodes where walls meet. node: those of one after another, first and last included; arc k
-    has ``node[offset[k]:offset[k + 1]]``. of_ring: the arcs of each ring, in order, each with whether it is followed
-    backwards."""
+    """The lines between the nodes where walls meet. node: the nodes of all arcs, both ends included; arc k has
+    ``node[offset[k]:offset[k + 1]]``. of_ring: for each ring its arcs in order: (arc, whether it is followed
+    backwards)."""
 
     node: np.ndarray
     offset: np.ndarray
@@ -253,7 +256,7 @@ class _Arcs:
             ring = rings.node[first:last]
             meets = np.flatnonzero(degree[ring] != 2)
             if not len(meets):
-                # the vertex farthest from the middle is a corner
+                # a ring of its own begins at the vertex farthest from the middle, which is a corner
                 meets = np.array([np.hypot(*(xy_m[ring] - xy_m[ring].mean(axis=0)).T).argmax()])
             ring = np.roll(ring, -meets[0])
             cuts = [*(meets - meets[0]).tolist(), len(ring)]
@@ -275,20 +278,20 @@ class _Arcs:
 
     @property
     def _edges(self) -> np.ndarray:
-        """The elements of ``node`` from which an edge goes to the next one, int64."""
+        """int64: the elements of ``node`` from which an edge leads to the next one, all but the last of each arc."""
         return np.delete(np.arange(len(self.node)), self.offset[1:] - 1)
 
     def of_polygons(self, mask: np.ndarray, polygon_offset: np.ndarray) -> list[int]:
-        """The arcs of the polygons of a mask."""
+        """The arcs of the polygons for which ``mask`` is True, ascending."""
         rings = [
             r for p in np.flatnonzero(mask).tolist() for r in range(polygon_offset[p], polygon_offset[p + 1])
         ]
         return sorted({number for r in rings for number, _ in self.of_ring[r]})
 
     def rings(self, kept: np.ndarray, polygon_offset: np.ndarray) -> _Rings:
-        """The rings that the arcs form, of those elements of ``node`` that are ``kept``."""
+        """The rings that the arcs form if only the ``kept`` elements of ``node`` stay."""
         arcs = [self.node[a:b][kept[a:b]] for a, b in pairwise(self.offset.tolist())]
-        # without the last node of each, with which the next begins
+        # without the last node of each arc, as the next arc begins with it
         rings = [
             np.concatenate([arcs[k][:0:-1] if is_back else arcs[k][:-1] for k, is_back in members])
             for members in self.of_ring
@@ -297,8 +300,8 @@ class _Arcs:
         return _Rings(np.concatenate(rings), offset, polygon_offset)
 
     def simplified(self, xy_m: np.ndarray, tolerance_m: np.ndarray, min_edge_m: float) -> np.ndarray:
-        """Whether each element of ``node`` stays where superfluous ones go, bool. Arcs of negative tolerance keep
-        all."""
+        """bool: whether each element of ``node`` stays when arcs are simplified. tolerance_m: of each arc; an arc with
+        a negative tolerance keeps all."""
         arc = self._arc
         kept = ((np.diff(self.offset) == 2) | (tolerance_m < 0))[arc]
         row = np.flatnonzero(~kept)
@@ -313,8 +316,8 @@ class _Arcs:
         return kept
 
     def lines_of_edges(self, ends: np.ndarray, line_m: np.ndarray) -> np.ndarray:
-        """The ends of the edge of the input at each edge of the arcs, (m, 2, 2), of the longest of several.
-        ends, line_m: (n, 2) nodes and (n, 2, 2) places of the ends of edges of the input."""
+        """float64 (m, 2, 2): the ends of the input's edge that each edge of the arcs is part of; of the longest one if
+        there are several. ends: (n, 2), nodes of edges; line_m: (n, 2, 2), the ends of the input's edge of each."""
         num, edge = self.node.max() + 1, self._edges
         key = np.sort(ends, axis=1) @ [num, 1]
         order = np.lexsort((_length_m(line_m), key))
@@ -324,11 +327,12 @@ class _Arcs:
     def refitted(
         self, kept: np.ndarray, xy_m: np.ndarray, line_m: np.ndarray, settings: Scenes
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(which elements of ``node`` stay, the places of the nodes) after those that are ``kept`` have moved, by at
-        most ``simplify_m``, to where the longest two walls would meet, each the longest edge of the input of those in
-        whose place one is. So walls keep their directions. Where one would turn nevertheless, as beside a step between
-        parallel walls that is deeper than ``simplify_m``, the vertex farthest from the line across stays, too.
-        line_m: as of :meth:`lines_of_edges`."""
+        """(which elements of ``node`` stay, the places of the nodes), so that simplified walls keep their directions.
+
+        A simplified wall gets the line of the longest edge of the input that it replaces. A kept node moves to where
+        the lines of the longest two walls at it meet, if that is at most ``simplify_m`` away. A wall may still turn, as
+        beside a step between parallel walls that is deeper than ``simplify_m``. Then the vertex farthest from the new
+        wall stays, too. line_m: as :meth:`lines_of_edges` returns it."""
         edge, length_m, step_m = self._edges, _length_m(line_m), line_m[:, 1] - line_m[:, 0]
         edge_m = xy_m[self.node[edge + 1]] - xy_m[self.node[edge]]
         max_sine, kept = np.sin(np.radians(_MAX_TURN_DEG)), kept.copy()
@@ -338,10 +342,10 @@ class _Arcs:
             ends = self.node[[edge[first], edge[last] + 1]]
             places_m = _moved(xy_m, ends, line_m[_largest(length_m, section)], settings.simplify_m)
             along = places_m[ends[1]] - places_m[ends[0]]
-            # a ring that has collapsed has walls of no length
+            # in a collapsed ring, walls have no length
             along /= np.maximum(np.hypot(*along.T), _WITHIN_EDGE_M)[:, None]
             turn_m = np.abs(cross(along[section], step_m))
-            # a spike is no wall
+            # an edge that goes far aside or back, as of a spike, does not count
             forward_m = (along[section] * edge_m).sum(axis=1)
             is_turned = (turn_m > max_sine * length_m) & (forward_m > _MIN_FORWARD * np.hypot(*edge_m.T))
             turned_m = np.where(is_turned, length_m, 0)
@@ -366,15 +370,16 @@ def _length_m(line_m: np.ndarray) -> np.ndarray:
 
 
 def _largest(value: np.ndarray, section: np.ndarray) -> np.ndarray:
-    """The element with the largest value of each section, int64; of several the first one. section: the number of that
-    of each element, in ascending order and without gaps."""
+    """int64: the element with the largest value in each section, the first one of equal values. section: the section of
+    each element, ascending and without gaps."""
     order = np.lexsort((-value, section))
     return order[np.unique(section, return_index=True)[1]]
 
 
 def _moved(xy_m: np.ndarray, ends: np.ndarray, line_m: np.ndarray, most_m: float) -> np.ndarray:
-    """The places of the nodes after each has moved to where the longest two walls at it would meet, if that is at most
-    ``most_m`` away. ends: (2, n) nodes at the ends of walls; line_m: (n, 2, 2), the lines of those."""
+    """The places of the nodes after each has moved to where the longest wall at it meets the next longest one that is
+    not nearly parallel, if that is at most ``most_m`` away. ends: (2, n), the nodes at the ends of walls. line_m:
+    (n, 2, 2), the lines of the walls."""
     node, line_m = ends.T.ravel(), np.repeat(line_m, 2, axis=0)
     length_m = _length_m(line_m)
     order = np.lexsort((-length_m, node))
@@ -386,7 +391,7 @@ def _moved(xy_m: np.ndarray, ends: np.ndarray, line_m: np.ndarray, most_m: float
     row = row[np.unique(node[row], return_index=True)[1]]
     place_m = start_m[first[row]] + (off[row] / turn[row])[:, None] * step[first[row]]
     move_m = np.hypot(*(place_m - xy_m[node[row]]).T)
-    # less is rounding
+    # a smaller move is rounding
     moves = (move_m > _WITHIN_EDGE_M) & (move_m <= most_m)
     result = xy_m.copy()
     result[node[row[moves]]] = place_m[moves]
@@ -394,10 +399,10 @@ def _moved(xy_m: np.ndarray, ends: np.ndarray, line_m: np.ndarray, most_m: float
 
 
 def _thinned(xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: float) -> np.ndarray:
-    """The vertices that stay, int64, where those go that have an edge shorter than ``min_edge_m``, at which the wall
-    turns by less than 3 degrees, or by less than that from a full reversal, a spike, or that are within 2 cm of the
-    line between their neighbours. They go one at a time in each arc, the nearest to that line first. Its ends stay.
-    node, arc: of each vertex its node and the number of its arc, in ascending order."""
+    """int64: the vertices that stay in arcs. The ends of an arc stay. Others are removed one by one, the nearest to the
+    line between its neighbours first, while there are vertices that have an edge shorter than ``min_edge_m``, at which
+    the wall turns by less than 3 degrees, that are a spike (a reversal within 3 degrees), or that are within 2 cm of
+    this line. node, arc: the node and the ascending arc of each vertex."""
     max_cosine = np.cos(np.radians(_MIN_TURN_DEG))
     row, (_, arc) = np.arange(len(node)), np.unique(arc, return_inverse=True)
     while len(node) > 2:
@@ -405,7 +410,7 @@ def _thinned(xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: fl
         first = np.searchsorted(arc, np.arange(arc[-1] + 1))
         last = np.searchsorted(arc, np.arange(arc[-1] + 1), side="right") - 1
         is_closed = node[first] == node[last]
-        # a ring keeps three vertices
+        # a closed arc keeps three vertices
         inner = inner[~is_closed[arc[inner]] | ((last - first)[arc[inner]] > 3)]
         u, v = xy_m[node[inner]] - xy_m[node[inner - 1]], xy_m[node[inner + 1]] - xy_m[node[inner]]
         u_m, v_m = np.hypot(*u.T), np.hypot(*v.T)
@@ -427,24 +432,25 @@ def _thinned(xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: fl
 
 
 def _contract(xy_m: np.ndarray, node: np.ndarray, ring_offset: np.ndarray, min_edge_m: float) -> np.ndarray:
-    """The nodes after short edges at nodes where walls meet have shrunk to the one of them where more walls meet."""
+    """The node of each vertex after short edges at nodes where walls meet have been contracted, to the node where most
+    walls meet."""
     ends = np.sort(np.column_stack([node, node[next_in_ring(ring_offset)]]), axis=1)
     edges = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     length_m = np.hypot(*(xy_m[edges[:, 0]] - xy_m[edges[:, 1]]).T)
     degree = np.bincount(edges.ravel(), minlength=len(xy_m))
     is_short = (length_m < min_edge_m) & (degree[edges] > 2).any(axis=1)
     cluster = groups(len(xy_m), edges[is_short])
-    # of as many walls, the first node
+    # the first node if there are several with as many walls
     most_first = np.lexsort((-degree, cluster))
     _, place = np.unique(cluster[most_first], return_index=True)
     return most_first[place][cluster[node]]
 
 
 def _without_spikes(node: np.ndarray, ring_offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes, offsets) of rings that nowhere turn back to the node before."""
+    """(nodes, ring offsets) of the rings without spikes, where a ring turns back to the node before."""
     while True:
         tip = node[previous_in_ring(ring_offset)] == node[next_in_ring(ring_offset)]
-        # a ring that is all tips has collapsed, and stays so
+        # a ring of only tips has collapsed: it keeps its first vertex
         counts = np.diff(ring_offset)
         tip &= np.repeat(counts > 2, counts)
         if not tip.any():

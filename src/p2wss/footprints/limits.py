@@ -1,4 +1,4 @@
-"""Repair of geometries, with limits: each is repaired in seconds, or has a reason.
+"""Repair of geometries within limits: a geometry is repaired in seconds, or excluded with a reason.
 
 A ring with many vertices is simplified before any step whose cost grows with the square of their number. All other
 rings stay unchanged.
@@ -20,20 +20,20 @@ MAX_EXTENT_M = 5000.0
 _FARTHEST_M = 1e9
 # rings with more vertices are simplified
 _MANY_VERTICES = 2000
-# Douglas-Peucker takes seconds for a ring of so many vertices that it cannot thin
+# Douglas-Peucker takes seconds for a ring with this many vertices if it cannot remove any
 _MAX_THINNED = 30_000
-# as many edges as the kernel can take
+# the kernel takes at most this many edges
 _MAX_VERTICES = 4096
-# make_valid takes about 0.1 ms for each
+# make_valid takes about 0.1 ms for each crossing
 _MAX_CROSSINGS = 10_000
 _NUM_SAMPLED_EDGES = 64
-# fewer edges cannot cross each other more often
+# this many edges, or fewer, cannot have more crossings than that
 _FEW_EDGES = 140
 _SMALLEST_TOLERANCE_M = 0.01
 
 
 def repaired(shapes: np.ndarray, tolerance_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-    """(valid 2D geometries, reason of each or "ok"); those with a reason are empty polygons.
+    """(valid 2D geometries, "ok" or a reason for each); a geometry with a reason becomes an empty polygon.
 
     Invalid geometries are repaired by shapely's ``make_valid`` (method "structure"). tolerance_m: a ring of more than
     2000 vertices is simplified by at most this much. A collection is reduced to its polygons, if it has any; other
@@ -66,7 +66,7 @@ def repaired(shapes: np.ndarray, tolerance_m: float = 0.2) -> tuple[np.ndarray, 
 
 
 def _polygons_of(collection: Any) -> Any:
-    """The polygons of a collection, those of collections in it included; the collection itself if it has none."""
+    """The polygons of a collection and of collections in it; the collection itself if it has no polygons."""
     parts = [
         _polygons_of(part) if part.geom_type == "GeometryCollection" else part for part in collection.geoms
     ]
@@ -75,7 +75,7 @@ def _polygons_of(collection: Any) -> Any:
 
 
 def _thinned(shape: Any, tolerance_m: float) -> Any:
-    """The polygons with simplified rings, those of few vertices unchanged; None if a ring keeps too many vertices."""
+    """The polygons with simplified rings; rings of few vertices stay. None if a ring keeps too many vertices."""
     if isinstance(shape, shapely.MultiPolygon):
         parts = [_thinned(part, tolerance_m) for part in shape.geoms]
         return None if any(part is None for part in parts) else shapely.MultiPolygon(parts)
@@ -95,7 +95,7 @@ def _thinned_ring(xy: np.ndarray, tolerance_m: float) -> np.ndarray:
     if len(thinned) > _MAX_THINNED:
         return xy
     half = len(thinned) // 2
-    # of a ring shorter than the tolerance, two vertices are left
+    # a ring shorter than the tolerance has only two vertices now
     rest = thinned[min(half, len(thinned) - 2) :]
     halves = np.array([shapely.LineString(thinned[: half + 1]), shapely.LineString(rest)])
     first_half, second_half = shapely.simplify(halves, tolerance_m / 2, preserve_topology=False)

@@ -1,4 +1,4 @@
-"""Tags of OpenStreetMap, of which GDAL writes the rarer ones as text into one column of its layers of areas."""
+"""Tags of OpenStreetMap. GDAL writes the rarer tags as text into one column of its layers of areas."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-# of GDAL's driver: which ways are areas, and which tags are columns
+# configuration of GDAL's driver: which ways are areas, and which tags are columns
 AREAS = Path(__file__).with_name("osm_areas.ini")
 _OTHERS = "other_tags"
-# columns of all layers of areas that GDAL makes of OpenStreetMap
+# columns that every layer of areas has that GDAL makes of OpenStreetMap
 _AREAS = {"osm_id", "osm_way_id", "building", _OTHERS}
 _PAIR = re.compile(r'"((?:[^"\\]|\\.)*)"=>"((?:[^"\\]|\\.)*)"')
 
 
 def with_others(columns: Mapping[str, np.ndarray], names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The columns, and those tags of these names that some feature has in the column of others (hstore or JSON).
+    """The columns, plus a column for each of the tags ``names`` that are in the column of other tags (hstore or JSON).
 
     >>> columns = with_others({"other_tags": np.array(['"height"=>"9 m"', None], object)}, ("height", "levels"))
     >>> columns["height"].tolist(), list(columns)
@@ -33,8 +33,8 @@ def with_others(columns: Mapping[str, np.ndarray], names: tuple[str, ...]) -> di
 
 
 def is_building(columns: Mapping[str, np.ndarray], num: int) -> np.ndarray:
-    """Whether each of ``num`` features is a building or a part of one, bool (n,); of a layer that GDAL makes of
-    OpenStreetMap, in which forests are areas, too. All features of others are."""
+    """bool (num,): whether each feature is a building or a part of one. It matters for layers that GDAL makes of
+    OpenStreetMap, in which forests are areas, too; all features of other layers count as buildings."""
     if not set(columns) >= _AREAS:
         return np.ones(num, bool)
     parts = with_others(columns, ("building:part",)).get("building:part", np.full(num, None, object))

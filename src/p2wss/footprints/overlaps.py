@@ -14,30 +14,33 @@ from p2wss.data import reasons
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
-# column with the ids of those that a footprint overlaps, if there are any
+# column with the ids of the footprints that a footprint overlaps; None if there are none
 COLUMN = "overlapping_ids"
-# a narrower overlap is that of neighbours, and is divided as their wall is (p2wss.footprints.coverage)
+# a narrower overlap is of neighbours, and is divided between them by p2wss.footprints.coverage
 _NARROW_M = 0.5
-# a footprint is in another if that covers such a share of it; parts make an outline if they cover such a share of it
+# a footprint is in another one that covers this share of it; parts make up an outline if they cover this share of it
 _WITHIN_SHARE, _PARTS_SHARE = 0.9, 0.9
-# one of which others cover more is not built; the rest of one of which they cover less is, where it is so wide
+# a footprint is not built if others cover more than this share of it; else its rest is built where it is this wide
 _COVERED_SHARE, _REST_WIDTH_M = 2 / 3, 2.0
-# a footprint as large is no building if so many others are in it
+# a footprint larger than this is no building if this many others are in it
 _LARGEST_M2, _NUM_INSIDE = 500_000.0, 3
 _NUM_NAMED = 3
 
 
 def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
-    """(the footprints, so that each place belongs to one only; those in whose place others are not built, bool (n,)).
+    """(the footprints without overlaps, so that each place belongs to one; bool (n,), whether a footprint takes the
+    place of others that are not built).
 
-    features: as :func:`p2wss.footprints.cleaning.split_parts` returns them. An outline whose parts cover it gives way
-    to them, and they get the height that it states if they state none; one that is larger than any building gives way
-    to all that are in it (:data:`~p2wss.data.reasons.AROUND_OTHERS`). Otherwise the larger one stays as it is, and of
-    the smaller one what is outside it; if that is little, it has a status, :data:`~p2wss.data.reasons.DUPLICATE` or
-    :data:`~p2wss.data.reasons.WITHIN_OTHER`, and no polygon. The column ``overlapping_ids`` then names the others, as
-    words of a shell.
+    features: as :func:`p2wss.footprints.cleaning.split_parts` returns them. An outline that is covered by its parts is
+    not built, but the parts (:data:`~p2wss.data.reasons.HAS_PARTS`); parts without a stated height get the height that
+    the outline states. A footprint larger than any building is not built, but the footprints in it
+    (:data:`~p2wss.data.reasons.AROUND_OTHERS`). Otherwise the larger one of two footprints stays as it is, and the
+    smaller one keeps what is outside it. If that is little, it gets the status :data:`~p2wss.data.reasons.DUPLICATE` or
+    :data:`~p2wss.data.reasons.WITHIN_OTHER`. Footprints that are not built have an empty polygon. The column
+    ``overlapping_ids`` names the other footprints, as words of a shell.
 
-    The result of a footprint depends on those that it overlaps directly or by others, not on the order of the rows.
+    The result of a footprint depends only on the footprints that it overlaps, directly or through others, not on the
+    order of the rows.
     """
     status, shapes = features["status"].copy(), features.geometry.copy()
     ids = features["building_id"].tolist()
@@ -52,7 +55,7 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
     others = np.full(len(ids), None, object)
     height_m = features.columns.get("stated_height_m", np.full(len(ids), np.nan)).copy()
     bounds = shapely.bounds(shapes)
-    # of equal ones the first id is built, as a repeated id has a suffix
+    # of equal footprints, the one with the first id is built, as a repeated id has a suffix
     ascending = sorted(
         sorted(beside, key=ids.__getitem__, reverse=True), key=lambda k: (area_m2[k], *bounds[k])
     )
@@ -83,7 +86,7 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
             continue
         others[k] = shlex.join(sorted(ids[other] for other in over))
         rest = shapely.difference(shapes[k], shapely.union_all(shapes[over]))
-        # without the lines that are left of it, with which GEOS finds no intersection
+        # without lines that may be left, with which GEOS finds no intersection
         rest = shapely.MultiPolygon([each for each in shapely.get_parts(rest) if each.geom_type == "Polygon"])
         wide = rest.buffer(-_REST_WIDTH_M / 2, join_style="mitre").buffer(
             _REST_WIDTH_M / 2, join_style="mitre"
@@ -104,7 +107,7 @@ def without_overlaps(features: Features) -> tuple[Features, np.ndarray]:
 
 
 def _wide_overlaps(shapes: np.ndarray, is_usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(pairs of footprints that overlap by more than neighbours do, (n, 2); the area that each has in common)."""
+    """(pairs of usable footprints that overlap by more than neighbours do, (n, 2); the common area of each pair)."""
     row = np.flatnonzero(is_usable)
     first, second = shapely.STRtree(shapes[row]).query(shapes[row], predicate="intersects")
     pairs = row[np.column_stack([first, second])[first < second]]
@@ -115,7 +118,8 @@ def _wide_overlaps(shapes: np.ndarray, is_usable: np.ndarray) -> tuple[np.ndarra
 
 
 def _parts(outline: int, parts: list[int], shapes: np.ndarray, area_m2: np.ndarray) -> list[int]:
-    """The footprints that are in an outline, if they cover it and no two of them the same place; else none."""
+    """The footprints ``parts``, which lie in an outline, if they are its parts: several that cover it, without covering
+    a place twice; else an empty list."""
     together_m2 = shapely.union_all(shapes[parts]).intersection(shapes[outline]).area
     is_covered = together_m2 > _PARTS_SHARE * area_m2[outline]
     is_once = area_m2[parts].sum() < together_m2 / _PARTS_SHARE
@@ -123,7 +127,7 @@ def _parts(outline: int, parts: list[int], shapes: np.ndarray, area_m2: np.ndarr
 
 
 def tell(features: Features) -> None:
-    """Say how many footprints are not built, or only in part, for each reason."""
+    """Log how many footprints are not built, or only in part, because of overlaps, for each reason."""
     if COLUMN not in features.columns:
         return
     ids, status, others = features["building_id"].tolist(), features["status"], features[COLUMN]

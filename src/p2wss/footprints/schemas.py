@@ -26,10 +26,11 @@ _PART = re.compile(r"(.*)-([1-9][0-9]{0,8})", re.DOTALL)
 
 @dataclass(frozen=True)
 class FootprintSchema:
-    """Names of columns, in any case; the first one that a file has is used.
+    """Names of columns, in upper or lower case; of several names, the first one that a file has is used.
 
-    evidence: a file has this schema if it has a column of each of these groups. ids, heights_m: height of the building
-    above the ground. roof_and_ground: columns whose difference is the height. floors: number of floors, of 3 m each.
+    evidence: a file has this schema if it has a column of each of these groups. ids: ids of buildings. heights_m:
+    height of the building above the ground. roof_and_ground: pairs of columns, the height is their difference. floors:
+    number of floors, of 3 m each.
     """
 
     evidence: tuple[tuple[str, ...], ...]
@@ -39,7 +40,7 @@ class FootprintSchema:
     floors: tuple[str, ...] = ()
 
 
-# more special ones first
+# the more special schemas first
 SCHEMAS = {
     "bdtopo": FootprintSchema(
         (("cleabs", "id"), ("hauteur",)),
@@ -73,18 +74,18 @@ SCHEMAS = {
         (("id",), ("sources", "num_floors", "names", "roof_shape")), ("id",), ("height",), (), ("num_floors",)
     ),
 }
-# of a file of none of these
+# for a file that has none of these schemas
 GENERIC = FootprintSchema(
     (),
     ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid"),
     ("height", "height_m", "hauteur", "hauteur_m", "hoogte", "building_height"),
-    # of what p2wss fetches
+    # columns of the footprints that p2wss fetches
     (("altitude_minimale_toit_m", "altitude_minimale_sol_m"),),
     ("num_floors", "nombre_d_etages", "levels", "floors"),
 )
 
 
-# names that are longer than those of a shapefile
+# names that are longer than a shapefile allows
 _LONG = tuple(
     name
     for each in (*SCHEMAS.values(), GENERIC)
@@ -95,7 +96,8 @@ _LONG = tuple(
 
 
 def by_name(columns: Collection[str]) -> dict[str, str]:
-    """The columns by their names in lower case, and by longer names of schemas of which shapefiles keep ten characters.
+    """The columns by their names in lower case. A name of ten characters also stands for longer names of schemas that
+    begin with it, because a shapefile keeps only ten characters.
 
     >>> by_name(["building_i", "AREA"])["building_id"]
     'building_i'
@@ -106,7 +108,7 @@ def by_name(columns: Collection[str]) -> dict[str, str]:
 
 
 def schema_of(columns: Collection[str], name: str = "auto") -> FootprintSchema:
-    """The schema of this name, or for "auto" the one recognised from the columns, :data:`GENERIC` if none."""
+    """The schema of this name; for "auto", the schema recognised by the columns, or :data:`GENERIC`."""
     return SCHEMAS.get(detected(columns) or "", GENERIC) if name == "auto" else SCHEMAS[name]
 
 
@@ -131,17 +133,18 @@ def building_ids(
     id_field: str | None,
     path: str | Path,
 ) -> list[str]:
-    """A unique id per feature. number: of each in its file.
+    """A unique id per feature. number: the number of each feature in its file.
 
-    Ids are those of the column ``id_field``, else of the first column of the schema without missing or repeated values,
-    else of its first with any. A missing id becomes the number of the feature. A repeated one gets a suffix _2, _3, ..
-    from its second occurrence on; all others stay. Without such a column, ids are the numbers. A warning reports
-    all that differs from the file.
+    Ids are taken from the column ``id_field``. Without it, they are from the schema's first column without missing and
+    repeated values, else from its first column with any value. A missing id becomes the number of the feature. A
+    repeated id gets a suffix _2, _3, .. from its second occurrence on; all other ids stay. Without any such column, ids
+    are the numbers. A warning tells if ids differ from the column, or are not from the first one.
 
     Raises :class:`InputError` if there is no column ``id_field``.
     """
     column_of = by_name(columns)
-    if {"osm_id", "osm_way_id"} <= set(column_of):  # GDAL states one of them: that of a relation, or of a way
+    # GDAL fills the first column for a relation, the second one for a way
+    if {"osm_id", "osm_way_id"} <= set(column_of):
         relation, way = columns[column_of["osm_id"]], columns[column_of["osm_way_id"]]
         is_way = is_missing(relation) & ~is_missing(way)
         ids = np.where(is_way, np.array(_as_text(way), object), np.array(_as_text(relation), object))
@@ -188,7 +191,8 @@ def _as_text(values: np.ndarray) -> list[str]:
 
 
 def _unique(names: list[str], is_known: np.ndarray) -> list[str]:
-    """The names, repeated ones with a suffix that leads to no other name; first those that are known."""
+    """The names, made unique: repeated names get a suffix with which they equal no other name. Names that are not known
+    are looked at last, so that they get the suffix."""
     result, used, count = list(names), set(names), dict.fromkeys(names, 1)
     order = np.argsort(~is_known, kind="stable")
     for i in order[_is_repeated([names[i] for i in order])]:
@@ -200,7 +204,7 @@ def _unique(names: list[str], is_known: np.ndarray) -> list[str]:
 
 
 def _is_repeated(values: Sequence[Any]) -> np.ndarray:
-    """Whether the same value comes before, bool (n,)."""
+    """bool (n,): whether the same value occurs before."""
     first = {value: i for i, value in reversed(list(enumerate(values)))}
     return np.array([first[value] < i for i, value in enumerate(values)], bool)
 
@@ -243,10 +247,11 @@ def _column(columns: Mapping[str, np.ndarray], name: str, path: str | Path) -> n
 def stated_heights_m(
     features: Features, schema: FootprintSchema, height_field: str | None, path: str | Path
 ) -> np.ndarray:
-    """The height that each footprint states, above its ground, float64 (n,); NaN if unknown.
+    """float64 (n,): the height above its ground that each footprint states; NaN if unknown.
 
-    From the column ``height_field`` or, in this order, the schema's heights, differences and floors of 3 m; text such
-    as "12.5 m" or "40 ft" too. Raises :class:`InputError` if there is no column ``height_field``.
+    It is the first plausible value of: the column ``height_field``, the schema's heights, differences of roof and
+    ground, and floors of 3 m. Text such as "12.5 m" or "40 ft" is understood. Raises :class:`InputError` if there is no
+    column ``height_field``.
     """
     columns = with_others(features.columns, (*schema.heights_m, *schema.floors))
     values_of = {name: columns[column] for name, column in by_name(columns).items()}
@@ -277,7 +282,7 @@ def stated_heights_m(
 
 
 def _metres(values: np.ndarray) -> np.ndarray:
-    """Numbers, or text with a number in metres (m or nothing) or feet (ft or ')."""
+    """float64: values in metres, of numbers, or of text with a number in metres (m or nothing) or feet (ft or ')."""
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
     found = [_LENGTH.fullmatch(str(each).strip().replace(",", ".")) for each in values.tolist()]

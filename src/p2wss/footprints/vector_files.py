@@ -1,4 +1,4 @@
-"""Read vector files of any kind: all geometries that GDAL knows, each feature with its number in the file."""
+"""Read vector files: all formats and geometries that GDAL knows, each feature with its number in the file."""
 
 from __future__ import annotations
 
@@ -25,35 +25,38 @@ from p2wss.storage.features import Features, columns_of
 from p2wss.storage.log_lines import log
 
 T = TypeVar("T")
-# WKB types that shapely cannot read, and those with the same bytes that it can
+# WKB types that shapely cannot read, and types that it reads with the same bytes
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
-# the phrase of messages
+# what messages call such a file
 _KIND = "a readable vector file"
 NO_POLYGONS = "has no polygons; QGIS makes them of closed lines, as of a DXF (Lines to polygons)"
 _POINT, _LINE, _POLYGON = 1, 2, 3
-# what layers are read for, and how GDAL names its kinds of geometry
+# what is read from a layer, and the words of GDAL for kinds of geometry with it
 _KINDS = {"polygons": ("Polygon", "Surface"), "lines": ("LineString", "Curve")}
 # endings of tables as text, and columns in which they may have geometry
 _TABLES = (".csv", ".tsv", ".psv")
 _WKT_COLUMNS = ("WKT", "geometry", "geom", "the_geom", "wkt_geom")
-# endings of GML, the second of other formats, too
+# endings of GML; .xml is an ending of other formats, too
 _GML = (".gml", ".xml")
-# of files in a .zip that are read
+# endings of vector files that are read in a .zip
 _PACKED = (".shp", ".gpkg", ".gdb", ".geojson", ".fgb", ".gml", ".kml")
-# whole numbers beside missing ones stay what they are
+# integers beside missing values stay integers
 _OF_PARQUET = {"integer_object_nulls": True}
-# from here on, not each whole number is a float
+# attribute of a table that was read from a file: its path
+FILE = "p2wss_file"
+# from here on, not each integer can be a float
 _MAX_EXACT = 2**53
 
 
 def read_vector(
     path: str | Path, bounds: Bounds | None = None, layer: str = "", of: str = "polygons"
 ) -> tuple[Features, np.ndarray]:
-    """(the features of a layer, in the order of the file, the number of each in the file).
+    """(the features of a layer, in the order of the file; the number of each feature in the file).
 
-    layer: its name; "" is the first that may have ``of``, polygons or lines, with a note if there are others. bounds:
-    only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of a TIN,
-    the faces of a polyhedral surface a multipolygon. Times are text. Files in a .zip are read without unpacking.
+    layer: its name; "" is the first layer that may have ``of``, polygons or lines, with a note if there are others.
+    bounds: read only features that intersect this window, in the CRS of the file. Curves become lines. A TIN and a
+    polyhedral surface become a multipolygon of their triangles and faces. Times become text. Files in a .zip are read
+    without unpacking. If polygons are read from OpenStreetMap, areas that are no buildings are left out, with a note.
 
     Raises :class:`InputError` if the file is missing or broken, or has no geometry or no layer of this name.
     """
@@ -107,14 +110,16 @@ def read_vector(
 def _read(
     source: str | Path, **options: Any
 ) -> tuple[dict[str, Any], np.ndarray, Any, dict[str, np.ndarray]]:
-    """(what pyogrio knows of a layer, the number of each feature in the file, WKB or None, columns). Of whole numbers
-    and truths beside missing ones pyogrio makes floats: they become what they are in the file, objects with None."""
+    """(what pyogrio knows of a layer, the number of each feature in the file, WKB or None, columns).
+
+    pyogrio reads integers and booleans beside missing values as floats. Such columns become objects again: the values
+    of the file, and None."""
     meta, number, wkb, values = decoded(
         source, pyogrio.raw.read, return_fids=True, datetime_as_string=True, **options
     )
     columns = dict(zip(meta["fields"].tolist(), values, strict=True))
     for dtype, (name, column) in zip(meta["dtypes"], columns.items(), strict=True):
-        # the dtype of lists is none of numpy
+        # columns of lists have a dtype that numpy does not know
         if column.dtype.kind != "f" or np.dtype(dtype).kind not in "biu":
             continue
         is_known = ~np.isnan(column)
@@ -128,9 +133,11 @@ def _read(
 
 
 def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
-    """What a function of pyogrio with ``encoding`` makes of a file, by the options that its format needs. Text of a
-    shapefile without .cpg is UTF-8, as IGN's is, if it can be; where it cannot be what a .cpg states, it is taken for
-    ISO-8859-1, with a warning."""
+    """The result of ``read``, a function of pyogrio with a parameter ``encoding``, for a file, with the options that
+    its format needs.
+
+    The text of a shapefile without .cpg is read as UTF-8, as IGN writes it, if it is valid UTF-8. If text is not in the
+    encoding that a .cpg states, it is read as ISO-8859-1, with a warning."""
     options |= _options(path)
     if Path(path).suffix.lower() != ".shp":
         return read(path, **options)
@@ -145,21 +152,21 @@ def decoded(path: str | Path, read: Callable[..., T], **options: Any) -> T:
 
 
 def unpacked(path: str | Path, layer: str = "") -> str | Path:
-    """What GDAL is to open of a file: of a .zip the vector file in it, in whatever folder.
+    """What GDAL opens to read a file: the file itself, or for a .zip, the vector file in it, in whatever folder.
 
-    Raises :class:`InputError` if there are several, of which not one has a layer of this name."""
+    Raises :class:`InputError` if a .zip has several vector files, unless just one of them has a layer of this name."""
     if Path(path).suffix.lower() != ".zip":
         return path
     import zipfile
 
     with opening(path):
         with zipfile.ZipFile(path) as packed:
-            # of a file geodatabase, its folder
+            # a file geodatabase is opened by its folder
             names = {re.sub(r"(?i)(\.gdb)/.*", r"\1", name) for name in packed.namelist()}
         files = sorted(
             f"/vsizip/{{{path}}}/{name}"
             for name in names
-            # macOS packs what it knows of each file beside it
+            # macOS packs metadata of each file in a folder of its own
             if name.lower().endswith(_PACKED) and not name.startswith("__MACOSX/")
         )
         layers = {file: [name for name, _ in layers_of(file)] for file in files}
@@ -174,12 +181,12 @@ def unpacked(path: str | Path, layer: str = "") -> str | Path:
 
 @contextmanager
 def opening(path: str | Path) -> Iterator[None]:
-    """Any error of the block is an :class:`InputError`; of a format or kind of layer that is not known, with what to
-    do. Of its warnings, which may be one per feature, the first is logged."""
+    """Turn any error of the ``with`` block into an :class:`InputError`; for an unknown format or kind of layer, it says
+    what to do. Only the first warning of the block is logged, as there may be one per feature."""
     with reading(path, _KIND), warnings.catch_warnings(record=True) as said:
-        # of a database by another ending, which is read all the same
+        # a database with another ending is read all the same
         warnings.filterwarnings("ignore", ".*non conformant file extension", RuntimeWarning)
-        # of .xml that is no GML, as of the Dutch cadastre
+        # said of .xml that is no GML, as files of the Dutch cadastre
         warnings.filterwarnings("ignore", ".*does not support open option", RuntimeWarning)
         try:
             yield
@@ -188,7 +195,7 @@ def opening(path: str | Path) -> Iterator[None]:
                 f"{path}: has layers of 3D geometries that cannot be read; save it as GeoPackage with geometries"
                 " MultiPolygon, with QGIS for instance, or CityGML as CityJSON: citygml-tools to-cityjson FILE"
             ) from error
-        except IndexError as error:  # of pyogrio, where GDAL knows the format
+        except IndexError as error:  # pyogrio raises it if GDAL knows the format
             raise InputError(f"{path}: has no layers") from error
         except pyogrio.errors.DataSourceError as error:
             if "not recognized" not in str(error):
@@ -204,12 +211,12 @@ def opening(path: str | Path) -> Iterator[None]:
 
 
 def _options(path: str | Path) -> dict[str, str]:
-    """What GDAL must be told to read a file."""
+    """The options with which GDAL must read a file, by its ending."""
     ending = Path(path).suffix.lower()
     if ending in _TABLES:
         return {"GEOM_POSSIBLE_NAMES": ",".join(_WKT_COLUMNS), "KEEP_GEOM_COLUMNS": "NO"}
     if ending in _GML:
-        # columns are those of its schema, or of its features: a .gfs beside it may be of another file
+        # columns are taken from the .xsd, or from the features; a .gfs beside the file may belong to another file
         return {"XSD": str(path)[: -len(ending)] + ".xsd", "WRITE_GFS": "NO"}
     if ending == ".osm":
         # an editor gives what it has not uploaded negative ids, which the faster index refuses
@@ -218,7 +225,7 @@ def _options(path: str | Path) -> dict[str, str]:
 
 
 def layers_of(path: str | Path) -> list[tuple[str, str | None]]:
-    """(name, kind of geometry or None) of each layer of what :func:`unpacked` returns."""
+    """(name, kind of geometry or None) of each layer. path: as :func:`unpacked` returns it."""
     if Path(path).suffix.lower() not in _GML:
         return [(str(name), kind) for name, kind in pyogrio.list_layers(path).tolist()]
     result: list[tuple[str, str | None]] = []
@@ -230,8 +237,15 @@ def layers_of(path: str | Path) -> list[tuple[str, str | None]]:
         result.append((info["layer_name"], info["geometry_type"]))
 
 
+def file_of(footprints: Any) -> str:
+    """The file of footprints, or what messages call a table without one; "" for None."""
+    if footprints is None or isinstance(footprints, str | Path):
+        return str(footprints or "")
+    return getattr(footprints, "attrs", {}).get(FILE, "footprints")
+
+
 def no_geometry(path: str | Path) -> str:
-    """The words for a file without geometry, with what it lacks."""
+    """The words of a message on a file without geometry, which say what it lacks."""
     if _is_parquet(path):
         return "has no geometry; a Parquet file needs the metadata of GeoParquet, as geopandas writes them"
     if Path(path).suffix.lower() in _TABLES:
@@ -252,19 +266,20 @@ def _is_parquet(path: str | Path) -> bool:
 
 
 def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | None, list[str]]:
-    """(the layer to read, the names of the others): the one that is stated, else the first that may have ``of``, else
-    the first; None for a file without layers. Raises :class:`InputError` if there is no layer of the stated name."""
+    """(the layer to read, the names of the others). It is the stated layer, else the first that may have ``of``, else
+    the first layer; None for a file without layers. Raises :class:`InputError` if there is no layer of the stated
+    name."""
     if _is_parquet(path):  # GDAL may come without its driver for Parquet
         if stated:
             raise InputError(f"{path}: has no layers; omit --layer")
         return None, []
     with opening(path):
-        warnings.simplefilter("ignore")  # what is said now is said again when the file is read
+        warnings.simplefilter("ignore")  # the warnings are repeated when the file is read
         layers = layers_of(unpacked(path, stated))
     names = [name for name, _ in layers]
     if stated and stated not in names:
         raise InputError(f"{path}: has no layer {stated}; its layers are {', '.join(names)}")
-    # a layer of any geometries, as databases have them, only where none states these
+    # a layer that may have any geometry, as in databases, is chosen only if no layer states this kind
     of_kinds = [
         [name for name, kind in layers if kind and any(each in kind for each in kinds)]
         for kinds in (_KINDS[of], ("Unknown", "Collection"))
@@ -274,10 +289,10 @@ def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | N
 
 
 def layer_info(path: Path, layer: str = "", with_bounds: bool = False) -> dict[str, Any]:
-    """What a file states of the layer that is read (as by :func:`read_vector`), without reading the features:
-    ``features`` (their number), ``geometry_type`` (None without geometry), ``fields``, ``crs``, ``layer``,
-    ``other_layers`` and ``total_bounds``, which are None if they are not known without reading all, unless
-    ``with_bounds``. Raises :class:`InputError` if it is broken."""
+    """What a file states of the layer that :func:`read_vector` reads, without reading the features: ``features`` (their
+    number), ``geometry_type`` (None without geometry), ``fields``, ``crs``, ``layer``, ``other_layers`` and
+    ``total_bounds``. The bounds may be None if they are not known without reading all features; ``with_bounds`` reads
+    them then. Raises :class:`InputError` if the file is broken."""
     chosen, others = _layer(path, layer)
     if _is_parquet(path):
         info = _geoparquet_info(path)
@@ -290,7 +305,7 @@ def layer_info(path: Path, layer: str = "", with_bounds: bool = False) -> dict[s
 
 
 def _geoparquet_info(path: Path) -> dict[str, Any]:
-    """The same of a GeoParquet file (specification 1.1)."""
+    """The facts of :func:`layer_info` for a GeoParquet file (specification 1.1)."""
     import pyarrow.parquet as pq
 
     with reading(path, _KIND):
@@ -299,7 +314,7 @@ def _geoparquet_info(path: Path) -> dict[str, Any]:
     primary = geo.get("primary_column")
     column = geo.get("columns", {}).get(primary)
     names = [name for name in stored.schema.to_arrow_schema().names if name != primary]
-    # before version 1.0, one kind could be there as text
+    # before version 1.0, the kind could be a text
     kinds = [] if column is None else column.get("geometry_types", column.get("geometry_type"))
     return {
         "features": stored.num_rows,
@@ -313,7 +328,7 @@ def _geoparquet_info(path: Path) -> dict[str, Any]:
 def read_attributes(
     path: str | Path, columns: tuple[str, ...], layer: str = ""
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """(these columns of all features of a layer, the number of each in the file)."""
+    """(these columns of all features of a layer, the number of each feature in the file)."""
     return _attributes(str(path), Path(path).stat().st_mtime_ns, columns, layer)
 
 
@@ -332,14 +347,14 @@ def _attributes(
 
 
 def _plain_wkb(wkb: bytes) -> bytes:
-    """The same bytes with types that shapely can read."""
+    """The WKB with types of geometries that shapely can read."""
     result = bytearray(wkb)
     _convert(result, 0)
     return bytes(result)
 
 
 def _convert(wkb: bytearray, start: int) -> int:
-    """Change the type of the geometry that begins at ``start`` and those of its parts, and return where it ends."""
+    """Change the types of the geometry that begins at ``start``, and of its parts, in place; return where it ends."""
     order = "<" if wkb[start] == 1 else ">"
     (code,) = struct.unpack_from(f"{order}I", wkb, start + 1)
     # in codes of ISO, the thousands state the dimensions; in older codes, the uppermost bits do
@@ -365,7 +380,7 @@ def _convert(wkb: bytearray, start: int) -> int:
 
 
 def is_missing(values: np.ndarray) -> np.ndarray:
-    """Whether each value is None, NaN or empty text, bool (n,)."""
+    """bool (n,): whether each value is None, NaN or empty text."""
     return np.array(
         [
             each is None or not str(each).strip() or (isinstance(each, float) and each != each)

@@ -27,7 +27,7 @@ SURFACE_TYPE = {
 }
 
 
-# of EPSG, as CityJSON requires them
+# the URL of a CRS of EPSG, as CityJSON requires it
 _CRS_URL = "https://www.opengis.net/def/crs/EPSG/0/"
 # planes with less slope have no azimuth
 _LEVEL_DEG = 0.1
@@ -35,11 +35,11 @@ _LEVEL_DEG = 0.1
 
 @dataclass(frozen=True)
 class Solid:
-    """A building to write: vertex_m float64 (v, 3) in the CRS, surfaces, and attributes of JSON types.
+    """A city object to write: a building, or a plant.
 
-    Without surfaces it becomes a Building without geometry. block: the same building as a block with a flat roof, of
-    LoD 1.2: surfaces of vertices in ``block_vertex_m``; none to leave it out. city_type: of the city object; one
-    that is no Building has no semantic surfaces.
+    vertex_m: float64 (v, 3), in the CRS. surfaces: without any, the object has no geometry of LoD 2.0. attributes: of
+    JSON types. block, block_vertex_m: surfaces and vertices of the same building as a block with a flat roof, LoD 1.2;
+    empty to leave it out. city_type: of the city object; only a Building has semantic surfaces.
     """
 
     building_id: str
@@ -53,9 +53,9 @@ class Solid:
 
 @dataclass(frozen=True)
 class Metadata:
-    """What the header of a file states. epsg: of the CRS, with heights where that is known. title: of the file.
-    reference_date: the day whose state the data show, as ``2021-03-31``. slope, azimuth: names of the attributes of
-    roof surfaces."""
+    """What the header of a file states. epsg: code of the CRS, of a compound CRS if its code is known. title: of the
+    file. reference_date: the day at which the data were valid, as ``2021-03-31``. slope, azimuth: names of the
+    attributes of roof surfaces (not in the header)."""
 
     epsg: int | None = None
     title: str | None = None
@@ -82,8 +82,8 @@ def _objects(solids: Iterable[Solid], metadata: Metadata) -> Iterator[dict[str, 
 
 
 def document_pieces(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
-    """The same content as :func:`lines` as the text of a single CityJSON object, building by building. In memory are
-    only the coordinates, as text."""
+    """The content of :func:`lines` as the text of a single CityJSON object, in pieces, building by building. Only the
+    coordinates are kept in memory, as text."""
     objects = _objects(solids, metadata)
     city = next(objects)
     stated = city.pop("metadata", None)
@@ -157,15 +157,15 @@ def _geometry(
     vertices: list[list[int]],
     metadata: Metadata,
 ) -> dict[str, Any] | None:
-    """A solid, whose vertices are added to ``vertices``; None without surfaces.
+    """The geometry of a solid; None without surfaces. Its vertices are added to ``vertices``.
 
-    Ground, walls and outer floors have one semantic surface each, a roof one per plane.
+    All ground, all walls and all outer floors have one semantic surface each, roofs one per plane.
     """
     grid, surfaces = stored(vertex_m, surfaces)
     if not surfaces:
         return None
     grid = grid - np.round(translate / SCALE_M).astype(np.int64)
-    # a vertex within a face is in no ring
+    # only vertices of rings are written, as a vertex within a face is in no ring
     rings = [[ring.tolist() for ring in surface.rings] for surface in surfaces]
     used = sorted({vertex for of_surface in rings for ring in of_surface for vertex in ring})
     known = {tuple(vertex): position for position, vertex in enumerate(vertices)}
@@ -197,7 +197,8 @@ def _geometry(
 
 
 def _plane(grid: np.ndarray, surfaces: Sequence[Surface], metadata: Metadata) -> dict[str, Any]:
-    """Slope from the horizontal; azimuth of the way down, clockwise from grid north, none of a level plane; area."""
+    """Attributes of a roof plane: slope from the horizontal; azimuth of the way down, clockwise from grid north, which
+    a level plane lacks; area."""
     rings = [grid[ring] * SCALE_M for surface in surfaces for ring in surface.rings]
     x, y, z = (np.sum([doubled_area(ring) for ring in rings], axis=0) / 2).tolist()
     slope_deg = math.degrees(math.atan2(math.hypot(x, y), z))

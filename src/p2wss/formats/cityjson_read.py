@@ -1,4 +1,4 @@
-"""Reading CityJSON: the solids of buildings as triangles, for measures, and as they are, for tests; their plans."""
+"""Reading CityJSON: buildings as triangles, for measures; their solids as they are, for checks; their footprints."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _KIND = {
     "RoofSurface": FaceKind.ROOF,
     "OuterFloorSurface": FaceKind.FLOOR,
 }
-# kind of a surface of which a file does not state one
+# kind of a surface if the file does not state it
 _UNKNOWN = 255
 # city objects that are read: buildings and plants
 _TYPES = ("Building", "SolitaryVegetationObject", "PlantCover")
-# children of a building that are inside it, and repeat its surfaces
+# children of a building that are not read: they are inside it, and repeat its surfaces
 _INSIDE = ("BuildingRoom", "BuildingUnit", "BuildingStorey", "BuildingFurniture")
-# buildings with roof planes, as files name their level of detail, the best first
+# names of levels of detail with roof planes, the best first
 _LODS = ("2.2", "2.3", "2.0", "2", "2.1")
-# geometries that are read: how many lists there are around each polygon
+# geometries that are read, and how many lists there are around each of their polygons
 _DEPTHS = {"MultiSurface": 1, "CompositeSurface": 1, "Solid": 2, "MultiSolid": 3, "CompositeSolid": 3}
 _OF_SOLIDS = 3
-# how much of a file tells whether it is CityJSON
+# so many bytes at either end of a file tell whether it is CityJSON
 _NUM_SHOWN = 4096
 # plans have coordinates of millimetres
 _GRID_M = 1e-3
@@ -49,9 +49,9 @@ _GRID_M = 1e-3
 
 @dataclass(frozen=True)
 class ReadSolid:
-    """A building from a file or, if not ``is_building``, a plant. mesh: its triangles in the CRS, labelled by the
-    polygons that they are part of; without any if the building has no geometry of the level of detail. part: number of
-    the solid of each triangle, 0 of those in none; None where all are of one."""
+    """A building from a file or, if not ``is_building``, a plant. mesh: its triangles in the CRS, labelled by their
+    polygons; empty if there is no geometry of level of detail 2. part: int (t,), the number of the solid of each
+    triangle, 0 for a triangle of no solid; None: all triangles are of one solid."""
 
     building_id: str
     mesh: Mesh
@@ -66,10 +66,10 @@ def read(path: str | Path) -> list[ReadSolid]:
 
 
 def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
-    """(every building and plant of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2,
-    parts joined, the last of those of one id; the CRS that the file states, if any).
+    """(every building and plant of a CityJSON file or CityJSONSeq; the CRS that the file states, or None).
 
-    Raises :class:`InputError` if the file is missing or not CityJSON.
+    They have the solids, or else the surfaces, of level of detail 2; parts of a building are joined. Of several with
+    one id, the last is taken, with a warning. Raises :class:`InputError` if the file is missing or not CityJSON.
     """
     documents, scale, translate = _documents(path)
     solids: list[ReadSolid] = []
@@ -94,7 +94,7 @@ def read_city(path: str | Path) -> tuple[list[ReadSolid], pyproj.CRS | None]:
 
 
 def is_cityjson(path: str | Path) -> bool:
-    """Whether a file is CityJSON by what it begins or ends with."""
+    """Whether a file looks like CityJSON, by its beginning and its end."""
     if not Path(path).is_file():
         return False
     with open(path, "rb") as file:
@@ -104,11 +104,12 @@ def is_cityjson(path: str | Path) -> bool:
 
 
 def plans(path: str | Path) -> gpd.GeoDataFrame:
-    """The buildings of a CityJSON file or CityJSONSeq as footprints, with ``building_id`` and what of their attributes
-    is no list or object: what the ground surfaces of the lowest level of detail cover, parts joined, or all surfaces
-    where none is said to be ground.
+    """The buildings of a CityJSON file or CityJSONSeq as footprints, with ``building_id`` and their attributes, except
+    attributes that are lists or objects.
 
-    Raises :class:`InputError` if the file is not CityJSON, or has no buildings.
+    A footprint is the area that the ground surfaces of the lowest level of detail cover, or all its surfaces if none is
+    stated to be ground; parts of a building are joined. Raises :class:`InputError` if the file is not CityJSON, or has
+    no buildings.
     """
     import geopandas as gpd
 
@@ -143,9 +144,9 @@ def _in_plan(rings: Any, vertex_m: np.ndarray) -> shapely.Polygon:
 
 @dataclass(frozen=True)
 class Shell:
-    """A shell of a solid in a file. name: of the city object. number: of the shell; 0 is the outer one. vertex_m:
-    float64 (v, 3). surfaces: its polygons. composite: number of its geometry in the city object if that is a composite,
-    whose solids may not overlap; None otherwise."""
+    """A shell of a solid in a file. name: of the city object. number: of the shell in its solid; 0 is the outer one.
+    vertex_m: float64 (v, 3). surfaces: its polygons. composite: the number of its geometry in the city object if it is
+    a composite solid, whose solids must not overlap; else None."""
 
     name: str
     lod: str
@@ -156,7 +157,7 @@ class Shell:
 
 
 def shells(path: str | Path) -> Iterator[Shell]:
-    """The shells of all solids of a CityJSON file or CityJSONSeq, whatever object they belong to.
+    """The shells of all solids of a CityJSON file or CityJSONSeq, of city objects of any type.
 
     Raises :class:`InputError` if the file is missing or not CityJSON.
     """
@@ -193,13 +194,14 @@ def _ring(indices: Sequence[int], vertex_m: np.ndarray) -> np.ndarray:
 
 
 def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.ndarray]:
-    """(the objects of a file, scale and translation of their vertices)."""
+    """(the JSON objects of a file, scale and translation of their vertices). Raises :class:`InputError` if they are not
+    CityJSON, or have different transforms."""
     with reading(path, "CityJSON"):
         text = Path(path).read_text(encoding="utf-8-sig")
         if text.lstrip().startswith("<"):
             raise ValueError("it is XML; if it is CityGML, convert it: citygml-tools to-cityjson FILE")
         try:
-            # text may have what only Python takes for the end of a line
+            # not splitlines: strings may contain characters that only Python takes for the end of a line
             documents = [json.loads(line) for line in text.split("\n") if line.strip()]
         except json.JSONDecodeError:
             documents = [json.loads(text)]
@@ -226,8 +228,8 @@ def _stated_crs(documents: list[dict[str, Any]]) -> pyproj.CRS | None:
 def _content(
     document: dict[str, Any], first: dict[str, Any], scale: np.ndarray, translate: np.ndarray
 ) -> tuple[dict[str, Any], np.ndarray]:
-    """(city objects, vertices), those of templates among them as if each object had its own (CityJSON 2.0, 3.4). first:
-    the object that has the templates of a sequence."""
+    """(city objects, vertices) of a JSON object. Instances of templates (CityJSON 2.0, 3.4) become geometries with
+    vertices of their own. first: the first object of a sequence, which has the templates."""
     objects = document.get("CityObjects", {})
     parts_m = [np.array(document.get("vertices", []), float).reshape(-1, 3) * scale + translate]
     templates = first.get("geometry-templates", {"vertices-templates": [], "templates": []})
@@ -251,8 +253,8 @@ def _content(
 
 
 def _shifted(boundaries: Any, by: int, num_vertices: int) -> Any:
-    """Boundaries of any depth with numbers of vertices that are higher. Raises ValueError for a vertex that is not
-    there."""
+    """Boundaries of any depth, with ``by`` added to the numbers of vertices. Raises ValueError for a vertex that does
+    not exist."""
     if isinstance(boundaries, list):
         return [_shifted(each, by, num_vertices) for each in boundaries]
     if not 0 <= boundaries < num_vertices:
@@ -269,7 +271,7 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         for given in _geometries(objects, name):
             by_lod = [[each for each in given if str(each.get("lod")) == lod] for lod in _LODS]
             best = next(filter(None, by_lod), [])
-            # some files have the surfaces of a solid beside it
+            # some files repeat the surfaces of a solid beside it
             closed = [each for each in best if "Solid" in each["type"]]
             for geometry in closed or best:
                 first = max(parts) + 1
@@ -300,7 +302,7 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
 
 
 def _geometries(objects: dict[str, Any], name: str) -> list[list[dict[str, Any]]]:
-    """Those that are read of a city object, and of each of its parts."""
+    """The geometries that are read: a list for a city object, and one for each of its parts."""
     names = [name]
     for parent in names:
         children = [child for child in objects[parent].get("children", []) if child in objects]
@@ -325,7 +327,7 @@ def _polygons_of(geometry: dict[str, Any]) -> Iterator[tuple[int, Any, int]]:
 
 
 def _of_known_kinds(mesh: Mesh) -> Mesh:
-    """The mesh with surfaces of unknown kind as what they are by their slope: walls, roofs or ground."""
+    """The mesh, in which surfaces of unknown kind become walls, roofs or ground by their slope."""
     is_unknown = mesh.kind == _UNKNOWN
     if not is_unknown.any():
         return mesh
@@ -344,8 +346,9 @@ def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray
     length = np.linalg.norm(normal)
     if not length > 0:
         return np.zeros((0, 3), int)
-    # axes of the plane, as seen from outside: triangles get the orientation of the polygon. Ears depend on them, and
-    # samples on ears: as in the independent script that tests/unit/eval/test_files.py compares with
+    # axes of the plane, as seen from outside, so that triangles get the orientation of the polygon. The triangles, and
+    # so samples of points on them, depend on the axes: they are as in the script with which
+    # tests/unit/eval/test_files.py compares
     u = np.cross(normal, [0, 0, 1] if abs(normal[2]) < 0.9 * length else [1, 0, 0])
     u /= np.linalg.norm(u)
     v = np.cross(normal / length, u)

@@ -23,14 +23,14 @@ _AXES = "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - 
 
 
 def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
-    """Bytes of a GLB with one node per mesh below a root node, and one primitive per material; all of a
+    """The bytes of a GLB with one node per mesh below a root node, and one primitive per material. All primitives of a
     mesh share its vertices.
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with
-    ``frame.origin_m`` = (x0, y0, z0). CRS, origin and axes are in the extras of the asset and of the root node, which
-    readers keep as properties of an object; the asset's also hold ``facts`` under ``p2wss``. A node's extras hold the
-    ids and materials of its buildings; a primitive's, under ``triangles``, pairs of a building's id and how many of its
-    triangles follow; a material's its type in ITU-R P.2040 with the edition.
+    ``frame.origin_m`` = (x0, y0, z0). Extras of the asset: CRS, origin and axes, and ``facts`` under ``p2wss``. Extras
+    of the root node, which readers keep as properties of an object: CRS, origin and axes. Extras of a node: the ids and
+    materials of its buildings. Extras of a primitive, under ``triangles``: pairs of a building's id and the number of
+    its triangles, in the order of the triangles. Extras of a material: its type in ITU-R P.2040 and the edition.
     """
     place = {"crs": frame.crs, "origin_m": [float(value) for value in frame.origin_m], "axes": _AXES}
     binary = Binary()
@@ -74,7 +74,8 @@ class Binary:
     accessors: list[dict[str, Any]] = field(default_factory=list)
 
     def append(self, values: np.ndarray, target: int, **accessor: Any) -> int:
-        """The number of the accessor. Elements have four bytes, so that every array is aligned."""
+        """Append an array, and return the number of its accessor. Elements must have four bytes, so that every array is
+        aligned."""
         self.views.append(
             {"buffer": 0, "byteOffset": len(self.content), "byteLength": values.nbytes, "target": target}
         )

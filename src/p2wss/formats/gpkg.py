@@ -16,9 +16,9 @@ import shapely
 from p2wss.storage import files
 from p2wss.storage.features import Features, without_none
 
-# SQLite would wait for the disk at each step, and be ready to undo it: ``atomic`` completes a file once
+# SQLite need not wait for the disk at each step, nor be able to undo it, as ``atomic`` puts the complete file in place
 _OPTIONS = {"OGR_SQLITE_SYNCHRONOUS": "OFF", "OGR_SQLITE_JOURNAL": "OFF"}
-# as QGIS makes it
+# the table of styles, as QGIS creates it
 _STYLES = """
 CREATE TABLE layer_styles (
     id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
@@ -45,8 +45,8 @@ _SYMBOL = (
 )
 _CATEGORIES = "".join(_CATEGORY.format(state, text, state) for state, (_, text) in STATES.items())
 _SYMBOLS = "".join(_SYMBOL.format(state, color) for state, (color, _) in STATES.items())
-# the style with which QGIS opens the table of a run: what to check, in the colours and words of its page. QML: a
-# version, without which QGIS takes it for one of its first, and polygons, without which for points
+# the QML style with which QGIS opens the table of a run: what to check, in the colours and words of the run's page.
+# Without the version, QGIS takes it for a style of its first version; without the type of layer, for a style of points
 STYLE = (
     '<!DOCTYPE qgis><qgis version="3.28.0" styleCategories="Symbology">'
     f'<renderer-v2 type="categorizedSymbol" attr="{_STATE}">'
@@ -63,8 +63,8 @@ def write(
     more: Mapping[str, Features] | None = None,
     style: str = "",
 ) -> None:
-    """Write a layer of polygons, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``, and after
-    it those of ``more`` by their names. style: QML, with which QGIS opens the first layer.
+    """Write a layer of polygons, and after it the layers ``more``, by their names. The metadata of the file have
+    ``facts`` as JSON under the key ``p2wss``. style: QML, with which QGIS opens the first layer.
 
     Raises :class:`InputError` that names ``path`` if it cannot be written.
     """
@@ -79,7 +79,7 @@ def write(
                     _add_layer(temporary, name, rows, append=True)
             if style:
                 _add_style(temporary, layer, style)
-        except (RuntimeError, sqlite3.Error) as error:  # of a full disk, for instance, and no OSErrors
+        except (RuntimeError, sqlite3.Error) as error:  # raised for a full disk, for instance
             raise OSError(str(error)) from error
 
 
@@ -101,7 +101,7 @@ def _add_layer(path: Path, name: str, features: Features, **options: Any) -> Non
 
 
 def _add_style(path: Path, layer: str, style: str) -> None:
-    """Store a style in the table in which QGIS looks for that of a layer."""
+    """Store a style in the table in which QGIS looks for the style of a layer."""
     with closing(sqlite3.connect(path)) as file, file:
         file.execute("PRAGMA synchronous = OFF")
         file.execute(_STYLES)

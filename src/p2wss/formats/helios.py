@@ -16,7 +16,7 @@ from p2wss.formats.meshes import Body, Frame, file_names, material_names, mtl, o
 
 # classes of LAS
 _GROUND, _HIGH_VEGETATION, _BUILDING = 2, 5, 6
-# by name or type of a material: that of the spectra that HELIOS++ has which is nearest; without one, it takes 50 %
+# the nearest spectrum of HELIOS++ for a material, by its name or type; without a spectrum, HELIOS++ reflects 50 %
 _SPECTRA = {
     "concrete": "cement_cinderblock",
     "plasterboard": "cement_cinderblock",
@@ -34,10 +34,10 @@ _SPECTRA = {
 
 
 def scene_files(bodies: Sequence[Body], frame: Frame) -> dict[str, bytes]:
-    """Contents by the names of the files, relative to the folder; ``scene.xml`` is the last.
+    """The contents of the files by their names, relative to the folder; ``scene.xml`` is the last.
 
-    Every mesh is a part, so that the simulated points state whose they are (``hitObjectId``), and has the class that
-    points on it get.
+    Every mesh is a part of the scene, so that simulated points tell their mesh (``hitObjectId``). Its material states
+    the LAS class of points on it.
     """
     names = file_names([re.sub(r"[^A-Za-z0-9_-]", "_", body.name) for body in bodies])
     files, parts = {}, []
@@ -68,7 +68,7 @@ def scene_files(bodies: Sequence[Body], frame: Frame) -> dict[str, bytes]:
 
 
 def _lines(body: Body, name: str) -> list[str]:
-    """What HELIOS++ adds to a material: the class of points, whether scanners may stand on it, and its spectrum."""
+    """The lines of HELIOS++ for a material: the class of points, whether scanners may stand on it, and the spectrum."""
     itu_type = MATERIALS[name].itu_type
     is_ground = body.is_terrain or itu_type.endswith("_ground")
     number = _HIGH_VEGETATION if body.is_plant else _GROUND if is_ground else _BUILDING

@@ -23,9 +23,9 @@ class Material:
     colour: tuple[int, int, int]
 
 
-# of the recommendation whose types, table 3, these are
+# the recommendation whose types (table 3) are used
 EDITION = "ITU-R P.2040-3"
-# its types that occur outdoors, and the materials of BD TOPO
+# the types of the recommendation that occur outdoors, and the materials of BD TOPO
 MATERIALS = {
     "concrete": Material("concrete", (186, 184, 178)),
     "brick": Material("brick", (165, 92, 70)),
@@ -39,7 +39,7 @@ MATERIALS = {
     "very_dry_ground": Material("very_dry_ground", (176, 160, 124)),
     "medium_dry_ground": Material("medium_dry_ground", (146, 158, 122)),
     "wet_ground": Material("wet_ground", (108, 124, 92)),
-    # natural stone: marble is the only one of the recommendation
+    # natural stone: the only one of the recommendation is marble
     "stone": Material("marble", (205, 196, 182)),
     "millstone": Material("marble", (188, 160, 120)),
     "slate": Material("marble", (86, 94, 106)),
@@ -48,7 +48,7 @@ MATERIALS = {
     "tile": Material("brick", (178, 98, 66)),
     "zinc": Material("metal", (150, 158, 168)),
 }
-# by the name of the surface; the floor ("ground") is not seen from outside, an outer floor is open ground
+# default material of each surface; the floor ("ground") is not seen from outside, an outer floor is open ground
 DEFAULTS = {
     "wall": "concrete",
     "roof": "concrete",
@@ -73,7 +73,7 @@ ROOF_CODES = {
     "3": "zinc",  # zinc, aluminium
     "4": "concrete",  # béton
 }
-# per surface: names of the column, in lower case, and the meaning of a digit
+# for each surface: names of the column, in lower case, and the meanings of its digits
 _COLUMNS = {
     "wall": (("materiaux_des_murs", "mat_murs"), WALL_CODES),
     "roof": (("materiaux_de_la_toiture", "mat_toits"), ROOF_CODES),
@@ -83,8 +83,8 @@ _COLUMNS = {
 def materials_of(row: Mapping[str, Any]) -> dict[str, str]:
     """The materials that a footprint's columns state, by the name of the surface (``wall``, ``roof``).
 
-    row: values of the input columns by their names. Of two materials the first that is known counts; a surface of
-    unknown or other material is not in the result.
+    row: values of the input columns by their names. Of two materials, the first known one is taken. A surface with an
+    unknown or another material is not in the result.
 
     >>> materials_of({"MAT_MURS": "49", "MAT_TOITS": "00"})
     {'wall': 'brick'}
@@ -100,7 +100,7 @@ def materials_of(row: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _digits(code: Any) -> str:
-    """The two digits of a code, which some files store as a number: 5 is 05."""
+    """The digits of a code as text; a number, as some files store it, gets two digits: 5 is 05. "" without a code."""
     if isinstance(code, (int, float)) and not isinstance(code, bool):
         return f"{int(code):02d}" if math.isfinite(code) else ""
     return code.strip() if isinstance(code, str) else ""

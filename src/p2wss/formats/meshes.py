@@ -19,7 +19,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.topology import unit_normals
 from p2wss.skeleton.types import FaceKind
 
-# kinds of the triangles of terrain and of plants, after those of ``FaceKind``
+# kinds of the triangles of terrain and of plants, in addition to ``FaceKind``
 TERRAIN = max(FaceKind) + 1
 VEGETATION = TERRAIN + 1
 SURFACE_NAMES = {
@@ -42,8 +42,8 @@ _STL_FACE = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribu
 
 @dataclass(frozen=True)
 class BuildingRef:
-    """A building that a mesh has faces of. materials: name of a material by the name of a surface
-    (:data:`SURFACE_NAMES`); a surface without one has the default."""
+    """A building of which a mesh has faces. materials: names of materials by names of surfaces
+    (:data:`SURFACE_NAMES`); a surface that is missing has the default material."""
 
     building_id: str
     materials: Mapping[str, str] = field(default_factory=dict)
@@ -53,9 +53,9 @@ class BuildingRef:
 class Body:
     """A named mesh to write: one building, a skin of several buildings that touch, or the terrain.
 
-    mesh: in the CRS; the kind of terrain is :data:`TERRAIN`, that of a plant :data:`VEGETATION`. building: int32 (t,),
-    the building that each triangle belongs to, an index into ``buildings``. The terrain, or a plant, is the only
-    "building" of its mesh. attributes: for files that have a place for them.
+    mesh: in the CRS; triangles of terrain have the kind :data:`TERRAIN`, triangles of a plant :data:`VEGETATION`.
+    building: int32 (t,), the building of each triangle, an index into ``buildings``. The terrain, or a plant, is the
+    only "building" of its mesh. attributes: for file formats that can store them.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Body:
 
     @classmethod
     def of_building(cls, name: str, mesh: Mesh, materials: Mapping[str, str] | None = None) -> Body:
-        """A single building, or the terrain, with its materials."""
+        """The body of a single building, of the terrain or of a plant, with its materials."""
         return cls(name, mesh, np.zeros(len(mesh.triangle), np.int32), (BuildingRef(name, materials or {}),))
 
     @property
@@ -81,7 +81,7 @@ class Body:
 
     @cached_property
     def faces(self) -> list[Faces]:
-        """The triangles by building and surface, in the order in which these first appear."""
+        """The triangles, grouped by building and surface, in the order in which the groups first appear."""
         number = np.asarray(self.building, int) * len(_SURFACES) + _SURFACE_OF_KIND[self.mesh.kind]
         number, first, index = np.unique(number, return_index=True, return_inverse=True)
         triangles = np.split(np.argsort(index, kind="stable"), np.cumsum(np.bincount(index))[:-1])
@@ -96,7 +96,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Frame:
-    """Position of a file's (0, 0, 0): ``origin_m`` (x, y, z) in the CRS named ``crs``."""
+    """The local coordinates of a file: its point (0, 0, 0) is ``origin_m`` (x, y, z) in the CRS ``crs``, a text."""
 
     origin_m: np.ndarray
     crs: str
@@ -108,17 +108,18 @@ class Frame:
 
 
 def frame_around(bodies: Sequence[Body], crs: str) -> Frame:
-    """The frame at the lower corner of all meshes, in whole metres: coordinates are small enough for 32 bits."""
+    """The frame with the lower corner of all meshes as its origin, in whole metres: so coordinates are small enough for
+    32 bits."""
     corners = [body.mesh.vertex_m.min(axis=0) for body in bodies]
-    # WKT that a user states may have several lines, which would end a comment in a file
+    # WKT that a user states may have several lines, and the end of a line would end a comment in a file
     crs = " ".join(crs.split())
     return Frame(np.floor(np.min(corners, axis=0)) if corners else np.zeros(3), crs)
 
 
 @dataclass(frozen=True)
 class Faces:
-    """The triangles, int (n,), of a mesh that show one surface of one building, by its name in
-    :data:`SURFACE_NAMES`."""
+    """The triangles of a mesh that belong to one surface of one building. surface: a name of :data:`SURFACE_NAMES`.
+    triangle: int (n,), indices of triangles."""
 
     building_id: str
     surface: str
@@ -127,9 +128,10 @@ class Faces:
 
 
 def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> bytes:
-    """Wavefront OBJ: one object per mesh, its faces by material, with their surfaces and buildings as comments.
+    """Wavefront OBJ: one object per mesh, its faces sorted by material, with their surfaces and buildings as comments.
 
-    There are no groups, at which loaders cut a mesh apart. library: name of the file with the materials (:func:`mtl`).
+    There are no groups, because loaders cut a mesh apart at groups. library: name of the file with the materials
+    (:func:`mtl`); None for no materials.
     """
     lines = [
         f"# p2wss {__version__}; metres; x east, y north, z up",
@@ -180,7 +182,7 @@ def material_names(bodies: Sequence[Body]) -> list[str]:
 
 
 def ply(bodies: Sequence[Body], frame: Frame) -> bytes:
-    """Binary PLY; each face has its kind and the number of its building, whose id is in the comments."""
+    """Binary PLY. Each face has its kind and the number of its building; comments map these numbers to ids."""
     vertex, triangle, kind, building = _joined(bodies, frame)
     face = np.zeros(len(triangle), _PLY_FACE)
     face["count"], face["vertex"], face["kind"], face["building"] = 3, triangle, kind, building
@@ -206,7 +208,7 @@ def ply(bodies: Sequence[Body], frame: Frame) -> bytes:
 
 
 def stl(bodies: Sequence[Body], frame: Frame) -> bytes:
-    """Binary STL, all meshes in one; CRS and origin in its header of 80 bytes."""
+    """Binary STL of all meshes together. The header of 80 bytes has the origin and as much of the CRS as fits."""
     vertex, triangle, _, _ = _joined(bodies, frame)
     face = np.zeros(len(triangle), _STL_FACE)
     face["corner"] = vertex["xyz"][triangle]
@@ -217,7 +219,7 @@ def stl(bodies: Sequence[Body], frame: Frame) -> bytes:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """File names that differ on every file system, also on those that ignore case, of which names may have 255 bytes.
+    """File names that differ on every file system, also on one that ignores case or allows only 255 bytes.
 
     >>> file_names(["A/1", "a_1", "..", "Ö 2"])
     ['A_1', 'a_1-2', '_', 'Ö_2']
@@ -227,7 +229,7 @@ def file_names(names: Sequence[str]) -> list[str]:
 
 
 def _distinct(names: Iterable[str], same: Callable[[str], str] = str) -> list[str]:
-    """The names; those with which one before is the ``same`` end in their number."""
+    """The names, made distinct: a name that is the ``same`` as an earlier one gets its number, from 1, as a suffix."""
     result: list[str] = []
     used: set[str] = set()
     for number, name in enumerate(names, 1):
@@ -239,9 +241,9 @@ def _distinct(names: Iterable[str], same: Callable[[str], str] = str) -> list[st
 
 
 def _joined(bodies: Sequence[Body], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (:data:`_VERTEX`), triangles, and per triangle kind and number of the building, of all meshes.
+    """(vertices (:data:`_VERTEX`), triangles, kind of each triangle, number of its building) of all meshes.
 
-    Buildings are numbered in the order of the meshes, and within a mesh in that of its ``buildings``.
+    Buildings are numbered mesh by mesh, in the order of each mesh's ``buildings``.
     """
     whole = Mesh.joined([body.mesh for body in bodies])
     vertex = np.zeros(len(whole.vertex_m), _VERTEX)
@@ -252,5 +254,5 @@ def _joined(bodies: Sequence[Body], frame: Frame) -> tuple[np.ndarray, np.ndarra
 
 
 def _word(name: str) -> str:
-    """The name without white space, which ends a name in these formats."""
+    """The name with "_" in place of white space, which would end a name in these formats."""
     return "_".join(name.split()) or "_"

@@ -14,8 +14,8 @@ from p2wss.formats.sionna import scene_files
 
 @dataclass(frozen=True)
 class FileOptions:
-    """What a writer needs besides bodies and frame. stem: of the names of the files. facts: provenance. The others are
-    settings of the section ``reconstruct``."""
+    """What a writer needs besides bodies and frame. stem: the stem of the file names. facts: the provenance. The other
+    fields are settings of the section ``reconstruct``."""
 
     stem: str
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -25,12 +25,12 @@ class FileOptions:
 
 
 def _library(stem: str) -> str:
-    """Name of the file of materials beside an OBJ file, which may name several, with blanks between them."""
+    """The name of the file of materials beside an OBJ file, without blanks: in an OBJ file, a blank separates names."""
     return f"{'_'.join(stem.split())}.mtl"
 
 
-# contents by the names of the files, relative to the folder of the output and with "/", in the order of writing: the
-# file that a reader opens comes last, when those that it names exist
+# A writer returns the contents of files by their names, which are relative to the folder of the output and have "/".
+# They are written in this order: the file that a reader opens comes last, after the files that it names
 Writer = Callable[[Sequence[Body], Frame, FileOptions], dict[str, bytes]]
 
 # one entry per mesh format of ``reconstruct.outputs``
@@ -58,5 +58,5 @@ MESH_WRITERS: dict[str, Writer] = {
         for name, content in helios.scene_files(bodies, frame).items()
     },
 }
-# those that `--per-building` writes a file of per mesh
+# formats of which `--per-building` writes a file per mesh
 SINGLE_FILES = ("glb", "obj", "ply", "stl")

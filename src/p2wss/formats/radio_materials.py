@@ -37,8 +37,8 @@ TABLE = {
 
 @dataclass(frozen=True)
 class Properties:
-    """Properties at a frequency. valid_ghz: the range of the row of the table. held_from_ghz: the end of that range at
-    which the complex permittivity was taken, None where the table holds at the frequency."""
+    """Properties at a frequency. valid_ghz: the range of frequencies of the row of the table. held_from_ghz: the end of
+    this range from which the complex permittivity was taken; None if the range contains the frequency."""
 
     relative_permittivity: float
     conductivity_s_per_m: float
@@ -49,8 +49,8 @@ class Properties:
 def properties(itu_type: str, frequency_ghz: float) -> Properties:
     """The properties of a type in :data:`TABLE`.
 
-    Where the recommendation does not define them, the complex permittivity of the nearest frequency at which it does
-    is used. The conductivity then grows in proportion to the frequency.
+    At a frequency for which the recommendation does not define them, the complex permittivity of the nearest defined
+    frequency is used. The conductivity then grows in proportion to the frequency.
     """
     nearest = [(fit, min(max(frequency_ghz, fit.low), fit.high)) for fit in TABLE[itu_type]]
     fit, valid = min(nearest, key=lambda pair: abs(math.log(pair[1] / frequency_ghz)))

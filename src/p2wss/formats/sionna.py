@@ -1,7 +1,7 @@
 """A scene for Sionna RT: a folder with Mitsuba XML, one plain PLY per shape, the top of the terrain, and a JSON.
 
-``sionna.rt.load_scene("STEM_sionna/scene.xml", merge_shapes=False)`` reads it. Sionna RT finds the edges at which waves
-are diffracted within one shape, and a shape has one material; so a shape is by default a whole solid.
+``sionna.rt.load_scene("STEM_sionna/scene.xml", merge_shapes=False)`` reads it. Sionna RT finds edges that diffract only
+within a shape, and a shape has only one material. So a shape is by default a whole solid.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from p2wss.storage.log_lines import log
 
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
 TERRAIN_TOP = "terrain_top.ply"
-# of the top of the terrain: 4 km by 4 km in squares of 2 m, which take 1.6 GB
+# most squares of the top of the terrain: 4 km by 4 km in squares of 2 m, which take 1.6 GB
 _MAX_SQUARES = 4_000_000
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """A shape of the scene: name of a body or of a piece of it, whose triangles have one material."""
+    """A shape of the scene: a body, or the piece of a body with one material."""
 
     name: str
     buildings: list[str]
@@ -50,10 +50,10 @@ def scene_files(
     split_materials: bool = False,
     map_cell_m: float = 2.0,
 ) -> dict[str, bytes]:
-    """Contents by the names of the files, relative to the folder; ``scene.xml`` is the last.
+    """The contents of the files by their names, relative to the folder; ``scene.xml`` is the last.
 
-    split_materials: a shape for each material of a mesh. Otherwise a mesh is one shape of the material that most of its
-    wall area has. map_cell_m: size of the squares of the terrain's top.
+    split_materials: make a shape of each material of a mesh. Otherwise a mesh is one shape, with the material of the
+    largest part of its wall area. map_cell_m: size of the squares of the terrain's top.
     """
     terrain = [body for body in bodies if body.is_terrain]
     plants = [body for body in bodies if body.is_plant]
@@ -62,7 +62,7 @@ def scene_files(
     if plants:
         (material,) = material_names(plants)
         shapes.append(_Shape("vegetation", [], material, Mesh.joined([body.mesh for body in plants])))
-    # Mitsuba reserves the point in ids; Sionna RT reads the XML in the encoding of the system
+    # ids are ASCII without points: Sionna RT reads the XML in the encoding of the system, Mitsuba reserves the point
     ids = file_names([re.sub(r"[^A-Za-z0-9_-]", "_", shape.name) for shape in shapes])
     materials = {
         name: properties(MATERIALS[name].itu_type, frequency_ghz)
@@ -193,8 +193,8 @@ def _shapes(body: Body, split_materials: bool) -> list[_Shape]:
 
 
 def _top(terrain: Mesh, buildings: Sequence[Body], frame: Frame, cell_m: float) -> bytes:
-    """The upper side of the terrain as squares of ``cell_m``, two triangles each, without those whose centre is in a
-    building. A radio map has a value per triangle."""
+    """PLY of the upper side of the terrain, in squares of ``cell_m`` with two triangles each. Squares with their centre
+    in a building are left out. A radio map has a value per triangle."""
     local = terrain.vertex_m - frame.origin_m
     top = local[np.unique(terrain.triangle[terrain.doubled_m2[:, 2] > 0])]
     low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
@@ -202,7 +202,7 @@ def _top(terrain: Mesh, buildings: Sequence[Body], frame: Frame, cell_m: float) 
     x, y = (start + cell_m * np.arange(count + 1) for start, count in zip(low, counts, strict=True))
     node = np.column_stack([values.ravel() for values in np.meshgrid(x, y)])
     height = scipy.interpolate.LinearNDInterpolator(top[:, :2], top[:, 2])(node)
-    # rounding puts nodes of the border outside
+    # by rounding, nodes of the border may be outside
     outside = np.isnan(height)
     height[outside] = scipy.interpolate.NearestNDInterpolator(top[:, :2], top[:, 2])(node[outside])
     number = np.arange(len(node)).reshape(len(y), len(x))
@@ -216,8 +216,8 @@ def _top(terrain: Mesh, buildings: Sequence[Body], frame: Frame, cell_m: float) 
 
 
 def _are_covered(point_m: np.ndarray, buildings: Sequence[Body], frame: Frame) -> np.ndarray:
-    """Which of the points (n, 2) are in the footprint of a building, bool (n,)."""
-    # by its roofs, as a skin that ends on the terrain has no floor
+    """bool (n,): which of the points (n, 2) are in the footprint of a building."""
+    # all faces but walls are used, as a skin that ends on the terrain has no floor
     surfaces = [
         body.mesh.corner_m[body.mesh.kind != FaceKind.WALL, :, :2] - frame.origin_m[:2] for body in buildings
     ]
@@ -228,7 +228,7 @@ def _are_covered(point_m: np.ndarray, buildings: Sequence[Body], frame: Frame) -
 
 
 def _ply(vertex_m: np.ndarray, triangle: np.ndarray) -> bytes:
-    """Binary PLY with nothing but vertices and triangles: Mitsuba warns of every other property."""
+    """Binary PLY with only vertices and triangles, as Mitsuba warns of every other property."""
     face = np.zeros(len(triangle), _PLY_FACE)
     face["count"], face["vertex"] = 3, triangle
     header = [
@@ -244,7 +244,8 @@ def _ply(vertex_m: np.ndarray, triangle: np.ndarray) -> bytes:
 
 
 def _bsdf_id(name: str, values: Properties, frequency_ghz: float) -> str:
-    """The id of a material. Sionna RT rejects names of ITU types for materials with constant properties."""
+    """The id of a material. A material with constant properties needs another id than its ITU type, which Sionna RT
+    would reject."""
     if values.held_from_ghz is None:
         return f"mat-{name}"
     return f"mat-{name}-{round(frequency_ghz * 1000)}-MHz"
@@ -281,7 +282,7 @@ def _facts(name: str, values: Properties) -> dict[str, Any]:
 
 
 def _wgs84(frame: Frame) -> tuple[float | None, float | None]:
-    """Latitude and longitude of the origin in degrees, None where the CRS has no transformation."""
+    """Latitude and longitude of the origin in degrees; (None, None) if the CRS has no transformation to WGS 84."""
     try:
         to_wgs84 = pyproj.Transformer.from_crs(frame.crs, 4326, always_xy=True)
         longitude, latitude = to_wgs84.transform(*frame.origin_m[:2], errcheck=True)
@@ -291,5 +292,5 @@ def _wgs84(frame: Frame) -> tuple[float | None, float | None]:
 
 
 def _comment(text: str) -> str:
-    """The text without what ends a comment of XML; an option loses its hyphens."""
+    """The text without double hyphens, which XML forbids in a comment; an option loses its hyphens."""
     return re.sub(r"--+", "-", re.sub(r"(?<=[ (])--", "", " ".join(text.split()))).rstrip("-")

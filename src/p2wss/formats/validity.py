@@ -1,4 +1,4 @@
-"""Whether the solids of a CityJSON file are valid."""
+"""Whether the solids of a CityJSON file are valid by ISO 19107."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class Validity:
     Attributes
     ----------
     num_solids : int
-        Of the file.
+        The number of solids in the file.
     invalid : dict of str to list of str
-        By the name of each invalid solid, with its level of detail, the rules that it breaks: codes of val3dity with
-        their meaning.
+        The rules that each invalid solid breaks, as codes of val3dity with their meanings. Keys are names of city
+        objects with the level of detail.
     """
 
     num_solids: int
@@ -73,10 +73,11 @@ def check_file(path: str | Path) -> Validity:
 
 
 def _breach_of_composite(solids: Sequence[Sequence[Shell]]) -> int | None:
-    """The rule that these solids, each a list of shells, break together: two of them have more in common than the
-    tolerance makes of touching faces, or they are apart by more than it."""
+    """The rule that the solids of a composite, each a list of shells, break together; None if they break none.
+    :data:`OVERLAP`: two of them have more volume in common than touching faces have within the tolerance.
+    :data:`APART`: they are not all connected, as gaps are larger than the tolerance."""
     corners = [np.concatenate([_corners(shell) for shell in solid]) for solid in solids]
-    # coordinates of a CRS are too large for differences of them
+    # coordinates of a CRS are too large for accurate differences
     corners = [each - corners[0].min(axis=(0, 1)) for each in corners]
     bodies = [_manifold(each) for each in corners]
     boxes = [(each.min(axis=(0, 1)), each.max(axis=(0, 1))) for each in corners]
@@ -94,7 +95,7 @@ def _breach_of_composite(solids: Sequence[Sequence[Shell]]) -> int | None:
 
 
 def _corners(shell: Shell) -> np.ndarray:
-    """The triangles of a shell, (t, 3, 3), outwards from the solid."""
+    """float64 (t, 3, 3): the corners of the triangles of a shell, oriented as its polygons."""
     rings = [list(surface.rings) for surface in shell.surfaces]
     area = np.array([doubled_area(shell.vertex_m[face[0]]) for face in rings])
     normal = area / np.maximum(np.linalg.norm(area, axis=1), 1e-300)[:, None]
@@ -103,7 +104,7 @@ def _corners(shell: Shell) -> np.ndarray:
 
 
 def _manifold(corner_m: np.ndarray) -> manifold3d.Manifold:
-    """The solid of triangles (t, 3, 3); vertices in one place, within the tolerance, are one."""
+    """The solid of triangles (t, 3, 3); vertices in one place, within the tolerance, are merged."""
     from p2wss.mesh.booleans import manifold3d
 
     places = np.round(corner_m.reshape(-1, 3) / VAL3DITY.snap_m).astype(np.int64)

@@ -1,7 +1,7 @@
 """Buildings in 3D on a page: points and meshes as data, and the scripts that draw them.
 
-All of it is embedded in the page. Points are whole centimetres in int16 and vertices whole millimetres in int32,
-in base64.
+Data and scripts are embedded in the page. Points are whole centimetres in int16, vertices whole millimetres in int32,
+both in base64.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ FACE_COLORS = {
     FaceKind.FLAT: "#d9a06b",
     FaceKind.FLOOR: "#b5bd9c",
 }
-# what the attributes of a building say of it, as the legend has it
+# states of a building by its attributes, as in the legend
 OK, FLAGGED, FLAT, NONE = "ok", "flagged", "flat", "none"
 PLANT_COLOR, OTHER_COLOR, GROUND_COLOR = "#5f9350", "#b9b4ab", "#cfd4c9"
-# of the files that are compared with the first
+# colours of the files that are compared with the first file
 OTHER_COLORS = ("#2a6f97", "#3f7d4e", "#b8a13c", "#6c757d")
-# attribute: title of its column in the table, the first of them is sorted by
+# attribute: title of its column in the table; the table is sorted by the first attribute
 COLUMNS = {
     "residual_m": "distance of the points (m)",
     "state": "state",
@@ -48,7 +48,8 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Layer:
-    """Meshes of one origin. is_ours: the distances of points are to these, and their faces are coloured."""
+    """Meshes of one source. is_ours: distances of points are measured to these meshes, and their faces are coloured by
+    kind."""
 
     key: str
     name: str
@@ -62,8 +63,8 @@ OUTLINES = Layer("outlines", "Footprints without a mesh", "#b3261e", is_ours=Fal
 
 @dataclass(frozen=True)
 class Place:
-    """What is around the buildings of a scene, and how to read it. plants, others (buildings without attributes),
-    ground: in the frame of the buildings; they can be hidden. crs: its name. meanings: of reasons and flags."""
+    """The surroundings of the buildings of a scene. plants, others (buildings without attributes), ground: in the frame
+    of the buildings; a reader can hide them. crs: name of the CRS. meanings: of reasons and flags."""
 
     plants: Sequence[Mesh] = ()
     others: Sequence[Mesh] = ()
@@ -75,8 +76,8 @@ class Place:
 @dataclass(frozen=True)
 class Shown:
     """A building on the page. meshes: by the keys of their layers. point_m: (n, 3), in the frame of the meshes.
-    distance_m: (n,), of the points to our mesh. group, title, about: where one building is shown at a time. materials:
-    of surfaces; None for those that the attributes state."""
+    distance_m: (n,), distances of the points to the mesh of the layer with ``is_ours``. group, title, about: used if
+    one building is shown at a time. materials: of surfaces; None: taken from the attributes."""
 
     building_id: str
     meshes: Mapping[str, Mesh]
@@ -92,8 +93,8 @@ class Shown:
 def viewer(
     buildings: Sequence[Shown], layers: Sequence[Layer], together: bool, place: Place = Place()
 ) -> dict[str, Any]:
-    """What a template embeds of these buildings, of which there is at least one, shown one at a time, or all
-    ``together``: the data as JSON, three.js, and the script that draws the data with it."""
+    """The values that a template embeds: the data of the buildings as JSON, three.js, and the script that draws the
+    data. buildings: at least one. together: whether all are shown together, or one at a time."""
     plants, others = Mesh.joined(place.plants), Mesh.joined(place.others)
     around = (
         ("plants", "Vegetation", PLANT_COLOR, plants),
@@ -102,7 +103,7 @@ def viewer(
     )
     data = {
         "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
-        # by whose names materials are
+        # the surface of each kind, as materials are by the name of the surface
         "surfaces": [SURFACE_NAMES[kind] for kind in sorted(FACE_COLORS)],
         "methods": [
             {"key": layer.key, "name": layer.name, "color": layer.color, "ours": layer.is_ours}
@@ -188,7 +189,7 @@ def _building(building: Shown) -> dict[str, Any]:
         "residual": number(building.attributes, "residual_m"),
         "height": _height_m(building),
         "attributes": {name: _exact(value) for name, value in building.attributes.items()},
-        # the columns of the input come before our status
+        # the columns of the input come before p2wss's attribute status
         "inputs": list(takewhile(lambda name: name != "status", building.attributes))
         if "status" in building.attributes
         else [],
@@ -220,13 +221,14 @@ def _state(building: Shown) -> str:
 
 
 def number(attributes: Mapping[str, Any], name: str) -> float | None:
-    """An attribute of any program; None where it is no number."""
+    """The attribute as a number; None if it is missing, or is no finite number, as attributes of other programs."""
     value = attributes.get(name)
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _height_m(building: Shown) -> float | None:
-    """By its attributes or, if a program states others, of its meshes; None without one."""
+    """The height of a building by its attributes, or if it lacks them, as of another program, the height of its meshes;
+    None without a mesh."""
     top_m, ground_m = (number(building.attributes, name) for name in ("roof_z_max_m", "ground_z_m"))
     if top_m is not None and ground_m is not None:
         return top_m - ground_m
@@ -235,7 +237,7 @@ def _height_m(building: Shown) -> float | None:
 
 
 def _exact(value: Any) -> Any:
-    """The value as scripts read it: JSON has no NaN, and numbers of a script have 53 bits."""
+    """The value as scripts can read it: None for NaN, which JSON lacks; text for integers of more than 53 bits."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, int) and abs(value) > 2**53 else value

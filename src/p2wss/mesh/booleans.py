@@ -1,7 +1,7 @@
 """The library manifold3d, for unions of solids, without threads of its own.
 
-It starts as many as there are processors with its first difference of solids, whatever ``--threads`` says. A fork of
-this process lacks them, and may wait for them forever.
+With its first difference of solids, it starts as many threads as there are processors, whatever ``--threads`` says. A
+fork of this process does not have these threads, and may wait for them forever.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A mesh without an edge, compiled: which edges are short, what is around one, and where planes meet without it."""
+"""Removes an edge of a mesh, compiled: what may change around it, where planes meet without it, what has changed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from p2wss.skeleton.groups import find_reverses, num_slots
 from p2wss.skeleton.ordering import sorted_by
 from p2wss.skeleton.types import FaceKind
 
-# planes that a corner of theirs stays further from than this, or leaves by more than the second figure, stay
+# metres: planes stay if a corner is still further from its plane than this, or moves off its plane by more than the
+# second figure
 _PLANAR_M, _MAX_MOVE_M = 2e-4, 0.06
-# ends that are nearer to each other may be one vertex in a file
+# metres: ends of an edge that are nearer to each other may be one vertex in a file
 _MERGED_M = 2e-3
 _GROUND, _WALL = int(FaceKind.GROUND), int(FaceKind.WALL)
 
@@ -30,15 +31,15 @@ def _length_m(vertex_m: np.ndarray, start: int, end: int) -> float:
 def beside_edge(
     mesh: Triangles, vertex: np.ndarray, plane: np.ndarray, end: int, gone: int, walls_stay: bool
 ) -> np.ndarray:
-    """bool (t,): which triangles may change if the ends of an edge become one, or are beside those: of the planes that
-    have a say in where theirs meet, and what is beside them, as floors on which walls stand, which then do not move.
+    """bool (t,): which triangles may change if the ends of an edge become one, or are beside such triangles.
 
-    vertex, plane: all pairs of a vertex and the label of a triangle there, ascending.
+    They are of the planes that may move so that planes meet at the edge, and of the planes that meet these, such as
+    floors, on which walls stay. vertex, plane: all pairs of a vertex and the label of a triangle there, ascending.
     """
     triangle, kind, label = mesh.triangle, mesh.kind, mesh.label
     num_vertices, num_planes = len(mesh.vertex_m), label.max() + 1
     is_place, is_moved = np.zeros(num_vertices, np.bool_), np.zeros(num_planes, np.bool_)
-    # floors stay, and walls on them
+    # floors and the walls on them stay
     is_on_floor, moves = np.zeros(num_vertices, np.bool_), np.ones(num_planes, np.bool_)
     is_on_floor[triangle[kind == _GROUND].ravel()], moves[label[kind == _GROUND]] = True, False
     for t in range(len(triangle)):
@@ -65,9 +66,9 @@ def beside_edge(
 def contracted(
     mesh: Triangles, end: int, gone: int, short_m: float, walls_stay: bool
 ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
-    """(whether that is possible, vertices (v, 3), triangles (t, 3), which of them are left, bool (t,)) after the least
-    changes of planes for which the ends of an edge become one vertex. With the same end twice, planes meet where they
-    are."""
+    """(whether it is possible, vertices (v, 3), triangles (t, 3), which of them are left, bool (t,)) after the least
+    changes of planes that make the ends of an edge one vertex. If ``end`` and ``gone`` are both -1, no edge is removed,
+    and the planes at all vertices meet exactly."""
     vertex_m, triangle, kind, label = mesh
     joined, stays = triangle.copy(), np.ones(len(triangle), np.bool_)
     is_free, is_on_floor = np.zeros(label.max() + 1, np.bool_), False
@@ -82,11 +83,11 @@ def contracted(
     if not walls_stay:
         vertex, plane = planes_at(triangle, label, len(vertex_m))
         for k, v in enumerate(vertex):
-            # planes at one of the ends only
+            # planes at only one of the ends are free
             if v in (end, gone):
                 is_free[plane[k]] = not is_free[plane[k]]
     tried, place, origin, is_met, moved_m = mesh, joined, gone, False, vertex_m
-    # the planes of both ends first, then those that are left without the edge
+    # first all planes of both ends, then only the planes that are left without the edge
     for attempt in range(1 if gone == end or is_on_floor else 2):
         if attempt == 1:
             place, origin, is_free[:] = joined[stays], end, False
@@ -103,8 +104,8 @@ def _met(
 ) -> tuple[bool, np.ndarray]:
     """(whether planes meet after a change of centimetres, without turning walls if possible; the vertices then).
 
-    joined: the triangles, (t, 3), with ``end`` in place of ``gone``, which become one point. The planes there shall
-    meet, of -1 those at all vertices. is_free: bool (p,), as of :func:`p2wss.mesh.meeting.equations`.
+    joined: the triangles, (t, 3), with ``end`` in place of ``gone``, as both become one point. The planes at ``end``
+    shall meet; if it is -1, the planes at all vertices. is_free: see :func:`p2wss.mesh.meeting.equations`.
     """
     vertex_m, triangle, kind, label = mesh
     num_vertices, walls_stay = len(vertex_m), not is_free.any()
@@ -112,7 +113,7 @@ def _met(
     at, plane_at = planes_at(joined, label, num_vertices)
     plane_kind, normal, _ = planes_of(mesh, len(is_free))
     first_m = vertex_m.copy()
-    # either of the ends tells where its planes are, as they are linear
+    # either end may stand for the point, as the conditions are linear
     first_m[end] = vertex_m[min(end, gone)]
     for turns in (False, True):
         row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, is_free, turns)
@@ -129,7 +130,8 @@ def _met(
         if not is_moved.any():
             return True, moved_m
         most_m, num_over, floors_stay = 0.0, 0, True
-        # along a plane a vertex may move further, as where roofs of nearly the same slope meet
+        # only the move off a plane counts: along it, a vertex may move further, as where roofs of nearly the same
+        # slope meet
         for k, v in enumerate(vertex):
             off_m = 0.0
             for i in range(3):
@@ -140,7 +142,7 @@ def _met(
             num_over -= _is_turned_over(vertex_m, triangle[t], normal[label[t]])
             for corner in triangle[t]:
                 floors_stay &= kind[t] != _GROUND or not is_moved[corner]
-        # the walls on floors stay where they are not free
+        # walls on floors stay unless they are free
         if (floors_stay or not walls_stay) and most_m <= max(_MAX_MOVE_M, short_m) and num_over <= 0:
             return True, moved_m
     return False, vertex_m
@@ -156,10 +158,12 @@ def _is_turned_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarr
 def changes(
     mesh: Triangles, num_same: int, before: Triangles, is_changed: np.ndarray
 ) -> tuple[bool, np.ndarray]:
-    """(whether the same sides as before, in the same places, have no triangle beside them, not more of them have
-    several, and no edge is too short for a file that was not; the triangles that may cross others now).
+    """(whether a change has kept a mesh as closed as it was; int64 (k,), the triangles that may cross others now).
 
-    The first triangles are as before; the others were those that have changed, bool (t,).
+    The mesh is as closed as before if the sides without a second triangle are the same, in the same places, no more
+    sides are repeated, and the shortest edge is long enough for a file or no shorter than the shortest before. The
+    first ``num_same`` triangles are as before; the others replace the triangles ``is_changed``, bool (t,), of
+    ``before``.
     """
     vertex_m, before_m = mesh.vertex_m, before.vertex_m
     own, old = mesh.triangle[num_same:], before.triangle[is_changed]
@@ -200,8 +204,8 @@ def changes(
 
 @allocating
 def _open_sides(triangle: np.ndarray, num_vertices: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """(starts and ends of the sides of triangles that have none beside them, ascending; how often two triangles have
-    the same side)."""
+    """(starts, ends, number): the ends of the sides that have no triangle on the other hand, ascending; and how often
+    two triangles have the same side in the same direction."""
     corner, num_half, num, num_more = triangle.ravel(), triangle.size, 0, 0
     ahead = np.empty(num_half, np.int64)
     for half in range(num_half):

@@ -17,9 +17,9 @@ from p2wss.mesh.topology import border_rings, first_of_faces
 class Surface:
     """One planar polygon of a building.
 
-    kind: a ``FaceKind``. label: that of its triangles, or -1. rings: vertex indices, the exterior first,
-    counter-clockwise seen from outside; holes clockwise. face: the number of the face that it is, or is a piece of;
-    pieces of one face have the same.
+    kind: a ``FaceKind``. label: the label of its triangles, or -1. rings: vertex indices, the exterior first,
+    counter-clockwise seen from outside; holes clockwise. face: the number of its face; pieces of one face have the same
+    number.
     """
 
     kind: int
@@ -36,12 +36,12 @@ def surfaces_of(
     face: np.ndarray,
     twin: np.ndarray,
 ) -> list[Surface]:
-    """The faces of a closed mesh, in the order of their numbers ``face`` (t,); the others as in
+    """The faces of a closed mesh, in the order of their numbers ``face`` (t,). Arguments: see
     :class:`p2wss.mesh.Mesh`.
 
-    The exterior ring of a face comes first; every ring runs as its triangles do. A vertex within a straight side is
-    kept where a neighbour has a corner. A hole that touches the exterior or another hole in a vertex is a ring of its
-    own.
+    The exterior ring of a face comes first; every ring has the direction of its triangles. A vertex within a straight
+    side is kept where a neighbour has a corner. A hole that touches the exterior or another hole in a vertex is a ring
+    of its own.
     """
     first = first_of_faces(face)
     rings: list[list[np.ndarray]] = [[] for _ in first]
@@ -54,7 +54,7 @@ def surfaces_of(
 
 
 def simple_rings(ring: list[int]) -> list[np.ndarray]:
-    """A ring as rings none of which visits a vertex twice."""
+    """A ring, divided into rings that visit no vertex twice."""
     if len({*ring}) == len(ring):
         return [np.array(ring)]
     rings: list[np.ndarray] = []

@@ -1,4 +1,4 @@
-"""Planes of a mesh moved by as little as possible, so that those at a place meet in one point."""
+"""Moves the planes of a mesh by as little as possible so that the planes at a place meet in one point."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from p2wss.skeleton.groups import grouped
 from p2wss.skeleton.ordering import sorted_by
 from p2wss.skeleton.types import FaceKind, distinct, writable
 
-# what moves by less than this stays, to the bit
+# metres: vertices that would move by less than this stay, to the bit
 EXACT_M = 1e-6
-# how much more the heights that a slope of a level roof makes count than others; roofs narrower than the second share
-# of their length have no slope across
+# how much more the heights count that result from tilting a level roof; roofs narrower than the second share of their
+# length have no slope across
 _STIFF, _THIN = 100.0, 1e-12
-# planes that meet in a line this nearly leave their point where it is along the line
+# planes that nearly meet in a line, to this share, do not move their point along the line
 _RANK = 1e-2
-# changes of planes that move no vertex by more than the square root of this share of themselves are not made
+# added to the diagonal of the normal equations: changes of planes that hardly move a vertex are not made
 _NO_CHANGE = 1e-10
-# changes of planes that are larger are no solution, and their squares may be beyond all numbers
+# larger changes of planes are no solution, and their squares may overflow
 _NO_SOLUTION_M = 1e6
 _NUM_ROUNDS = 4
 # rotations after which a matrix of three rows is diagonal to the last bit
 _NUM_TURNS = 18
-# a smaller share off the diagonal turns nothing
+# a smaller share off the diagonal counts as zero
 _NO_TURN = 1e-30
-# how many planes away from where planes do not meet others still move
+# planes move only up to this many planes away from a place where planes do not meet
 _NUM_RINGS = 2
-# a plane with more places than this moves only where it does not meet others
+# a plane with this many places or more moves only for places where it does not meet other planes
 _MANY_PLACES = 16
 _GROUND, _WALL, _FLAT = int(FaceKind.GROUND), int(FaceKind.WALL), int(FaceKind.FLAT)
-# a plane that meets others more often than this is among the last of equations
+# a plane that meets other planes more often than this is among the last in the equations
 _MANY_MEETINGS = 200
-# so many planes and places that depend on each other are solved for together
+# about this many planes and places are solved for together
 _TOGETHER = 60
 # a triangle is turned over if twice its area along its former normal is less than minus this
 NO_AREA_M2 = 1e-6
@@ -44,16 +44,16 @@ NO_AREA_M2 = 1e-6
 def with_meeting_planes(
     mesh: Mesh, place: np.ndarray, more: Collection[tuple[int, int]] = ()
 ) -> tuple[Mesh, np.ndarray]:
-    """(the mesh after the smallest change of its planes for which those at each place meet in one point, how far the
-    planes of each vertex are from it, (v,), where they cannot).
+    """(mesh, apart_m (v,)): the mesh after the smallest change of its planes that makes the planes at each place meet
+    in one point, and how far the planes of each vertex still are from its point, where they cannot meet.
 
-    place: int (v,): vertices of one number become one point. more: (vertex, plane of ``mesh.planes``), further planes
-    through the places of vertices. Roofs may tilt, and walls between roofs shift and turn; floors and the walls on them
-    stay. Conditions are linear in the changes of the planes while vertices stay; as they follow their planes, the least
-    squares are solved a few times.
+    place: int (v,): vertices with the same number become one point. more: (vertex, plane of ``mesh.planes``), further
+    planes through the places of vertices. Roofs may tilt, and walls between roofs may shift and turn; floors and the
+    walls on them stay. While vertices stay, the conditions are linear in the changes of the planes. As vertices follow
+    their planes, the least squares are solved a few times.
     """
     planes, (vertex, plane), num = mesh.planes, mesh.at, len(mesh.planes.kind)
-    # any vertex of a place tells where its planes are, as they are linear
+    # any vertex of a place may stand for it, as the conditions are linear
     _, first, place = np.unique(place, return_index=True, return_inverse=True)
     further = np.array(list(more), int).reshape(-1, 2)
     pairs = np.concatenate([place[vertex] * num + plane, place[further[:, 0]] * num + further[:, 1]])
@@ -79,8 +79,9 @@ def _meeting_points(
     kind: np.ndarray,
     normal: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those of :func:`points`. first: int64 (n,), a vertex of each place. vertex, plane: pairs at vertices. at,
-    plane_at: pairs at places. kind, normal: of the planes."""
+    """The result of :func:`points` for planes of a mesh. first: int64 (n,), a vertex of each place. vertex, plane: all
+    pairs of a vertex and a plane there. at, plane_at: all pairs of a place and a plane there. kind, normal: of the
+    planes."""
     row, scale = equations(vertex_m, vertex, plane, kind, normal, np.zeros(len(kind), np.bool_), True)
     return points(vertex_m[first], row, scale, at, plane_at, np.ones(len(first), np.bool_), False)
 
@@ -95,10 +96,14 @@ def points(
     counts: np.ndarray,
     corners_stay: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(points (n, 4), with a 1, where planes meet, how far they are from each, (n,)). first_m: (n, 3), where the points
-    are today. at, plane: pairs of places and planes, ascending. counts: bool (n,), of which places planes shall meet;
-    those around are added. corners_stay: whether points that no plane can move stay, too: a corner of the footprint
-    within a wall may be a millimetre off its line."""
+    """(points (n, 4), a 1 last, where planes meet; how far the furthest plane is from each point, (n,), 0
+    for places that do not count).
+
+    Changes ``row`` in place. row, scale: see :func:`equations`. first_m: (n, 3), where the points are now. at, plane:
+    pairs of places and planes, ascending. counts: bool (n,), the places where planes shall meet; places around these
+    are added to it. corners_stay: whether points stay if none of their planes can move: a corner of the footprint
+    within a wall may be a millimetre off its line.
+    """
     num, num_planes = len(first_m), len(row)
     point_m, moves, can_move = np.ones((num, 4)), np.zeros(num_planes, np.bool_), np.zeros(num, np.bool_)
     point_m[:, :3] = first_m
@@ -135,11 +140,12 @@ def points(
 def _together(
     row: np.ndarray, at: np.ndarray, plane: np.ndarray, moves: np.ndarray, is_off: np.ndarray
 ) -> np.ndarray:
-    """int (p + n,): planes and places with the same number depend on each other, where some do not meet, bool (n,), and
-    are few; -1 for all others."""
+    """int (p + n,): numbers of the groups of planes, then places, that are solved for together. Planes and places that
+    depend on each other are in one group, and small groups are joined. -1 for all that do not depend on a place
+    ``is_off``, bool (n,), where planes do not meet."""
     num, num_planes = len(is_off), len(moves)
     is_linked = is_near(is_off, moves, at, plane, np.ones(len(at), np.bool_))
-    # places where planes depend on each other, as more meet than a point needs
+    # planes depend on each other at a place where more of them meet than determine a point
     is_place = np.zeros(num, np.bool_)
     is_place[at[is_linked]] = True
     here = is_place[at]
@@ -163,9 +169,10 @@ def _together(
 def is_near(
     is_off: np.ndarray, moves: np.ndarray, at: np.ndarray, plane: np.ndarray, is_link: np.ndarray
 ) -> np.ndarray:
-    """bool (k,): which pairs of a place and a plane that moves are few links away from where planes do not meet, bool
-    (n,): a change fades with the planes between, so that further ones stay. is_link: which pairs are links."""
-    # a plane with many places moves only for its own
+    """bool (k,): which pairs of a place and a plane that moves are only a few links away from a place where planes do
+    not meet. A change fades from plane to plane, so that planes further away stay. is_off: bool (n,), whether planes do
+    not meet at a place. at, plane: the pairs (k,). is_link: bool (k,), which pairs are links."""
+    # a plane with many places moves only for its own places where planes do not meet
     num_places = np.zeros(len(moves), np.int64)
     for k, place in enumerate(at):
         num_places[plane[k]] += not is_off[place]
@@ -179,7 +186,7 @@ def is_near(
 
 
 def turned_over(mesh: Mesh, before: Mesh) -> np.ndarray:
-    """bool (t,): which triangles of a mesh face the other way than the planes that they had before."""
+    """bool (t,): which triangles of a mesh face away from the normals of their planes in ``before``."""
     normal = before.planes.normal[before.number]
     return np.asarray((mesh.doubled_m2 * normal).sum(axis=1) < -NO_AREA_M2)
 
@@ -196,10 +203,11 @@ def equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(rows (p, 4), scales (p, 4, 3)) of the planes of a mesh.
 
-    How far a point is from a plane is the product of its coordinates and a 1 with the row. For roofs, that has the
-    slopes of the least squares and -1, for others the normal. A change of a plane, times the scale, is one of the row;
-    so scaled, it is as long as that of its vertices' heights. vertex, plane: each pair of them. is_free: bool (p,),
-    planes that may shift though they are walls on floors.
+    The distance of a point (x, y, z) from a plane is the product of (x, y, z, 1) with its row. For a roof, the row has
+    the slopes from least squares and -1 and gives the distance upright; for other planes it has the unit normal. A
+    change of a plane is a vector (3,); ``scale`` times it is the change of the row. It is scaled so that it is as long
+    as the vector of the changes in height of the vertices. vertex, plane: all pairs of a vertex and a plane there.
+    is_free: bool (p,), walls that may shift though they are on floors. turns: whether walls between roofs may turn.
     """
     num, on_floor = len(kind), np.zeros(len(vertex_m), np.bool_)
     size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
@@ -209,11 +217,11 @@ def equations(
             base[p, i] += vertex_m[vertex[k], i]
         on_floor[vertex[k]] |= kind[p] == _GROUND
     base /= size.reshape(-1, 1)
-    # of places from their mean, sums of squares and of the products with heights
+    # for vertices relative to their mean: the sums of squares of x and y and of their products with heights
     row, scale, sums = np.zeros((num, 4)), np.zeros((num, 4, 3)), np.zeros((num, 2, 3))
     stiff = np.ones(num)
     stiff[kind == _FLAT] = _STIFF
-    # of walls, the ends on the floor
+    # the ends of walls on the floor
     ends_m = np.zeros((num, 2, 2))
     for k, p in enumerate(plane):
         x, y, z = vertex_m[vertex[k], 0], vertex_m[vertex[k], 1], vertex_m[vertex[k], 2]
@@ -232,7 +240,7 @@ def equations(
         row[p, :3] = normal[p]
         x, y = ends_m[p, 1, 0] - ends_m[p, 0, 0], ends_m[p, 1, 1] - ends_m[p, 0, 1]
         if stands[p] and not is_free[p] and np.hypot(x, y) > EXACT_M:
-            # whatever the vertices above do
+            # whatever the vertices above say
             row[p, 0], row[p, 1] = y / np.hypot(x, y), -x / np.hypot(x, y)
             base[p, 0], base[p, 1] = ends_m[p, 0, 0], ends_m[p, 0, 1]
         # walls shift only, unless they stand on a floor or may turn
@@ -263,7 +271,8 @@ def equations(
 
 @allocating
 def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """How far the furthest of the planes at each point is from it. point_m: (n, 4), with a 1. at, plane: pairs."""
+    """(n,): the distance of each point from the furthest of its planes. point_m: (n, 4), a 1 last. at, plane: pairs of
+    points and planes."""
     result = np.zeros(len(point_m))
     for k, place in enumerate(at):
         result[place] = max(result[place], abs(_off_m(row, plane[k], point_m, place)))
@@ -272,7 +281,7 @@ def _apart_m(row: np.ndarray, point_m: np.ndarray, at: np.ndarray, plane: np.nda
 
 @inner
 def _off_m(row: np.ndarray, plane: int, point_m: np.ndarray, place: int) -> float:
-    """How far a point is from a plane, with the sign of the side."""
+    """The signed distance of a point from a plane (:func:`equations`)."""
     result = 0.0
     for b in range(4):
         result += row[plane, b] * point_m[place, b]
@@ -288,8 +297,8 @@ def _met(
     at: np.ndarray,
     plane: np.ndarray,
 ) -> np.ndarray:
-    """Where the planes at points (n, 4) meet after the least changes of those rows that move, which are changed in
-    place. at, plane: pairs of points and planes, ascending."""
+    """The points (n, 4) where planes meet after the least changes of the planes that move. Changes ``row`` and
+    ``point_m`` in place. moves: bool (p,). at, plane: pairs of points and planes, ascending."""
     number = np.cumsum(moves) - 1
     number[~moves] = -1
     begin = np.searchsorted(at, np.arange(len(point_m) + 1))
@@ -299,7 +308,7 @@ def _met(
         if not is_off:
             break
         change = _solved(pair, share, right)
-        # else, the points went further away in each round, or the equations have no solution: these planes do not meet
+        # a larger change, or NaN: the points diverge, or the equations have no solution, so these planes do not meet
         if len(change) and not np.abs(change).max() < _NO_SOLUTION_M:
             break
         inverse = _followed(row, scale, number, change, point_m, begin, at, plane)
@@ -308,10 +317,11 @@ def _met(
 
 @allocating
 def _inverses(row: np.ndarray, at: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(what the products of rows and distances, summed, are multiplied by for the way to where planes meet, (n, 3, 3);
-    the number of directions that they determine, (n,)). at, plane: the pairs (k,) of places, ascending, and planes.
+    """(inverse (n, 3, 3), rank (n,)) of the normal equations of the point where the planes at each place meet.
 
-    By rotations (Jacobi 1846) that make the matrix of each place diagonal.
+    The step to that point is minus the inverse times the sum of the rows of its planes, each times the distance of the
+    plane. rank: the number of directions that the planes determine. at, plane: the pairs (k,) of places, ascending, and
+    planes. By rotations (Jacobi 1846) that make the matrix of each place diagonal.
     """
     num = 0
     for k in range(len(at)):
@@ -365,9 +375,9 @@ def _sums(
     begin: np.ndarray,
     plane: np.ndarray,
 ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
-    """(whether planes do not meet, pairs of planes (k, 2), what each adds to the matrix (k, 3, 3), right sides (num,
-    3)): the normal equations of the changes of planes. number: (p,), of each plane that moves, -1 if it stays. begin:
-    where the planes of each point begin in ``plane``."""
+    """The normal equations of the changes of planes: (whether some planes do not meet yet, pairs of planes (k, 2), what
+    each pair adds to the matrix (k, 3, 3), right sides (num, 3)). number: (p,), the number of each plane that moves, -1
+    if it stays. begin: (n + 1,), the first element of each point in ``plane``."""
     num_pairs, off_m, is_off = 0, np.empty(len(plane)), False
     lever = np.zeros((len(plane), 3))
     for at in range(len(inverse)):
@@ -386,7 +396,7 @@ def _sums(
         for i in range(begin[at], begin[at + 1]):
             one = number[plane[i]]
             for j in range(begin[at], begin[at + 1] if one >= 0 else 0):
-                # what is left of the distances of planes from a point wherever it is
+                # the part of the distances that no move of the point can remove
                 apart, other = 1.0 if i == j else 0.0, number[plane[j]]
                 for a in range(3):
                     for b in range(3):
@@ -412,7 +422,8 @@ def _followed(
     at: np.ndarray,
     plane: np.ndarray,
 ) -> np.ndarray:
-    """The inverses of :func:`_inverses` after the changes of planes, and changes the rows and points in place."""
+    """Changes the rows of planes, then moves the points to where they meet, both in place. Returns the inverses of
+    :func:`_inverses` for the new rows."""
     for p in range(len(number)):
         if number[p] >= 0:
             for b in range(4):
@@ -436,14 +447,14 @@ def _followed(
 def _solved(pair: np.ndarray, share: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The least changes (n, 3) that solve normal equations of :func:`_sums`.
 
-    By Cholesky's factors within the envelope, planes in the order of Cuthill and McKee (1969): few planes meet, and the
-    result does not depend on the threads of a library. A plane that many meet is among the last, as all that meet it
-    would be near to each other in that order.
+    By a Cholesky factorization within the envelope, with planes in the order of Cuthill and McKee (1969). This is fast,
+    as few planes meet, and the result does not depend on the threads of a library. A plane that meets many others is
+    among the last, as otherwise all of these would come close together in that order.
     """
     num = len(right)
     begin, at = sorted_by(pair[:, 0].copy(), num)
     beside = pair[:, 1][at]
-    # from each plane that none before it meets to those that it meets, and so on
+    # breadth first, from each plane that meets no plane before it
     order, place, count = np.empty(num, np.int64), np.full(num, -1), 0
     for is_last in range(2):
         for start in range(num):

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 # a plane is upright, or faces upwards, by the z of its normal
 _UPRIGHT_NZ = 0.05
-# what follows from the triangles and labels alone, and what still holds if each face gets a label of its own
+# the derived properties that follow from triangles and labels alone, and those that do not depend on labels, if each
+# face gets a label of its own
 _CONNECTION = ("twin", "face", "surfaces", "number", "at")
 _SHAPE = ("corner_m", "doubled_m2", "area_m2", "twin", "face", "is_closed", "edge_m")
 
@@ -30,8 +31,8 @@ class Mesh:
     """Triangles with common vertices. Nothing changes after its construction; what is derived is computed once.
 
     vertex_m: float64 (v, 3). triangle: int (t, 3), counter-clockwise seen from outside. kind: uint8 (t,),
-    :class:`p2wss.skeleton.FaceKind`. label: int (t,), a number for the plane of each triangle: those of one label that
-    share a side are one planar face of one kind. The numbers themselves mean nothing.
+    :class:`p2wss.skeleton.FaceKind`. label: int (t,), a number for the plane of each triangle. Triangles of one label
+    that share a side are one planar face of one kind. The numbers themselves mean nothing.
     """
 
     vertex_m: np.ndarray
@@ -53,7 +54,7 @@ class Mesh:
 
     @classmethod
     def joined(cls, meshes: Sequence[Mesh]) -> Mesh:
-        """All triangles of several meshes, with the vertices and the labels of each; meshes have none in common."""
+        """All triangles of several meshes, in one mesh. Triangles of different meshes share no vertex and no label."""
         meshes = meshes or [cls.empty()]
         first = np.cumsum([0, *(len(mesh.vertex_m) for mesh in meshes)])
         label = np.cumsum([0, *(mesh.label.max(initial=-1) + 1 for mesh in meshes)])
@@ -74,7 +75,7 @@ class Mesh:
         return self._with(_CONNECTION, vertex_m=vertex_m)
 
     def of_faces(self) -> Mesh:
-        """The same triangles with a label for each face: what is apart is of two planes then."""
+        """The same triangles with a label for each face: separate faces no longer share a plane."""
         return self._with(_SHAPE, label=self.face.astype(np.int32))
 
     def _with(self, kept: Sequence[str], **changes: np.ndarray) -> Mesh:
@@ -102,7 +103,7 @@ class Mesh:
 
     @cached_property
     def arrays(self) -> Triangles:
-        """The same for compiled code."""
+        """The mesh for compiled code."""
         vertex_m, triangle = writable(self.vertex_m, np.float64), writable(self.triangle, np.int64)
         return Triangles(vertex_m, triangle, writable(self.kind, np.uint8), writable(self.label, np.int64))
 
@@ -118,7 +119,7 @@ class Mesh:
 
     @cached_property
     def area_m2(self) -> np.ndarray:
-        """(t,), of the triangles."""
+        """(t,), the areas of the triangles."""
         return np.linalg.norm(self.doubled_m2, axis=1) / 2
 
     @cached_property
@@ -134,7 +135,7 @@ class Mesh:
 
     @cached_property
     def face(self) -> np.ndarray:
-        """int (t,), the number of the face of each triangle, in the order of their first triangles."""
+        """int (t,), the face of each triangle. Faces are numbered in the order of their first triangles."""
         return topology.face_numbers(self.twin, self.label)
 
     @cached_property
@@ -149,7 +150,7 @@ class Mesh:
 
     @cached_property
     def at(self) -> tuple[np.ndarray, np.ndarray]:
-        """(vertices, planes), int (k,): all pairs of a vertex and a plane there, in ascending order."""
+        """(vertices, planes), int (k,): all pairs of a vertex and a plane through it, in ascending order."""
         return planes_at(self.arrays.triangle, self.number, len(self.vertex_m))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Roofs that are exactly planes, without short edges: planes move by millimetres, and walls stay as they are."""
+"""Makes the roofs of a mesh exactly planar and removes short edges: planes move by millimetres, and walls stay."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from p2wss.mesh.triangulation import triangulated_in_space
 
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
-# with a triangle whose height is a smaller share of its longest side, faces are divided anew
+# faces are divided anew if a triangle has a height that is a smaller share of its longest side
 _NARROW = 0.02
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M, walls_stay: bool = True) -> Mesh:
-    """The mesh with planar walls and roofs, as far as that is possible, and without those edges shorter than
-    ``short_m`` that can go, the shortest first.
+    """The mesh with planar walls and roofs, as far as possible, and without edges shorter than ``short_m`` where they
+    can be removed, the shortest first.
 
-    An edge goes if the planes at both its ends, or above floors those that are left without it, can meet in one point,
-    and the mesh stays closed. Walls on floors may shift for that unless ``walls_stay``. With slivers, the faces are
-    divided anew.
+    An edge is removed if the planes at both its ends can meet in one point and the mesh stays closed. Above the floor,
+    it is enough that the planes that are left without the edge can meet. Walls on floors may shift for that unless
+    ``walls_stay``. If there are slivers, the faces are divided anew.
     """
     is_shorter, tried = len(mesh.triangle) > 0, set[object]()
-    # after others went, and with faces divided anew, planes may meet, and an edge may go, that could not before
+    # once edges are removed or faces are divided anew, planes may meet and edges may be removed that could not before
     while is_shorter:
         mesh = _with_planes(mesh)
         shorter = _without_short_edges(mesh, short_m, walls_stay, tried)
@@ -41,7 +41,7 @@ def _without_slivers(mesh: Mesh) -> Mesh:
     is_narrow = 2 * mesh.area_m2 < _NARROW * mesh.edge_m.max(axis=1, initial=0.0) ** 2
     if not is_narrow.any():
         return mesh
-    # as faces are planar but for tenths of a millimetre, other diagonals may cross what is beside them
+    # as faces are only planar to tenths of a millimetre, other diagonals may cross faces beside them
     divided = with_faces_divided(mesh, np.ones(len(mesh.vertex_m), bool))
     return divided if divided is mesh or _is_as_valid(divided, mesh) else mesh
 
@@ -67,10 +67,10 @@ def _without_short_edges(mesh: Mesh, short_m: float, walls_stay: bool, tried: se
 def _without_shortest(
     mesh: Mesh, short_m: float, walls_stay: bool, kept: set[object], tried: set[object]
 ) -> Mesh | None:
-    """The mesh without the shortest edge that can go, None if there is none.
+    """The mesh without the shortest edge that can be removed; None if there is none.
 
-    Edges that could not go are not tried again, those with the same planes at their ends in this round (``kept``), and
-    those whose planes have the same vertices in any (``tried``); both are added to.
+    Edges that could not be removed are not tried again: in this round, no edge with the same planes at its ends
+    (``kept``); in later rounds, no such edge whose planes still have the same vertices (``tried``). Both sets grow.
     """
     is_short = mesh.edge_m < short_m
     if not is_short.any():
@@ -103,9 +103,10 @@ def _without_shortest(
 def _without_edge(
     mesh: Mesh, is_near: np.ndarray, end: int, gone: int, short_m: float, walls_stay: bool
 ) -> Mesh | None:
-    """The mesh in which the ends of an edge are one vertex, None if its planes do not meet there, or if a vertex comes
-    to where another one is, as where four walls share an upright edge, or beyond. is_near: bool (t,), the triangles
-    that may change, and those of planes that meet theirs: the others are not looked at, but for crossings."""
+    """The mesh in which the ends of an edge are one vertex. None if its planes do not meet there, or if a vertex would
+    come to the place of another one, as where four walls share an upright edge, or pass it. is_near: bool (t,), the
+    triangles that may change, and the triangles of planes that meet theirs; all others are only tested for crossings.
+    """
     near = Triangles(mesh.arrays.vertex_m, *(each[is_near] for each in mesh.arrays[1:]))
     is_possible, vertex_m, joined, stays = contraction.contracted(near, end, gone, short_m, walls_stay)
     if not is_possible:
@@ -118,7 +119,7 @@ def _without_edge(
     result = Mesh(vertex_m, *(np.concatenate([old[~is_near], new]).astype(old.dtype) for old, new in parts))
     num_same = len(result.triangle) - len(changed.triangle)
     if thin_triangles(changed.arrays).sum() > num_thin:
-        # the other end of a step that went, or a vertex that a wall now passes through
+        # thin triangles at the other end of a step that was removed, or at a vertex that a wall now passes through
         result = _without_short_edges(result, NO_HEIGHT_M, walls_stay, set())
         num_same, is_near = 0, np.ones(len(mesh.triangle), bool)
         if thin_triangles(result.arrays).sum() > thin_triangles(mesh.arrays).sum():
@@ -133,9 +134,12 @@ def without_straight_vertices(mesh: Mesh) -> Mesh:
 
 
 def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
-    """The mesh whose faces are divided by constrained Delaunay triangulation, without those vertices within straight
-    edges that do not stay, bool (v,); the mesh itself if a face is no valid polygon, or has a vertex within, or if two
-    faces in one place, as of a wall without thickness, share a diagonal."""
+    """The mesh with its faces divided by constrained Delaunay triangulation, without the vertices that do not stay.
+
+    stays: bool (v,), false only for vertices within straight edges. Returns the mesh itself if a face is no valid
+    polygon, if a face has a vertex in its interior, or if two faces in the same place share a diagonal, as in a wall
+    without thickness.
+    """
     first, rings = first_of_faces(mesh.face), [surface.rings for surface in mesh.surfaces]
     if not stays.all():
         rings = [[ring[stays[ring]] for ring in face] for face in rings]
@@ -144,14 +148,14 @@ def with_faces_divided(mesh: Mesh, stays: np.ndarray) -> Mesh:
     triangle, face = triangulated_in_space(mesh.vertex_m, rings, mesh.planes.normal[mesh.number[first]])
     result = Mesh(mesh.vertex_m, triangle.astype(np.int32), mesh.kind[first][face], mesh.label[first][face])
     result = result.part(slice(None))
-    # each vertex within an edge was a corner of two triangles more than are left without it
+    # each removed vertex leaves two triangles less
     is_whole = len(triangle) == len(mesh.triangle) - 2 * np.count_nonzero(~stays)
     return result if is_whole and result.is_closed else mesh
 
 
 def _is_as_valid(mesh: Mesh, before: Mesh, num_same: int = 0, is_changed: np.ndarray | None = None) -> bool:
-    """Whether a mesh has no side without another that had one, no edge that files merge, and does not cross itself, if
-    so was the one before; the others as of :func:`_changes`."""
+    """Whether a change has kept a mesh valid: it is as closed as ``before`` (:func:`p2wss.mesh.contraction.changes`),
+    and does not cross itself unless ``before`` did. num_same, is_changed: see :func:`_changes`."""
     is_as_closed, asked = _changes(mesh, before, num_same, is_changed)
     if is_as_closed and crosses_itself(mesh.vertex_m, mesh.triangle, asked):
         return crosses_itself(before.vertex_m, before.triangle)
@@ -161,14 +165,15 @@ def _is_as_valid(mesh: Mesh, before: Mesh, num_same: int = 0, is_changed: np.nda
 def _changes(
     mesh: Mesh, before: Mesh, num_same: int = 0, is_changed: np.ndarray | None = None
 ) -> tuple[bool, np.ndarray]:
-    """Those of :func:`p2wss.mesh.contraction.changes`, by default of all triangles."""
+    """The result of :func:`p2wss.mesh.contraction.changes` for meshes. num_same: how many triangles, the first, are as
+    before. is_changed: bool (t,), the triangles of ``before`` that have changed; by default all."""
     is_changed = np.ones(len(before.triangle), bool) if is_changed is None else is_changed
     return contraction.changes(mesh.arrays, num_same, before.arrays, is_changed)
 
 
 def _flipped(mesh: Mesh) -> Mesh:
-    """The mesh in which those triangles without height whose corner is within the side opposite to it are gone: the
-    triangle across the side has that corner, too, and is two."""
+    """The mesh without triangles that have no height and a corner within their longest side, as far as possible. The
+    side is replaced: the triangle across it is divided in two at that corner."""
     is_thin = thin_triangles(mesh.arrays)
     pending = np.flatnonzero(is_thin).tolist()
     while pending:

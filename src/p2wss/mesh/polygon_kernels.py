@@ -7,13 +7,13 @@ import numpy as np
 from p2wss.skeleton.compiled import allocating, entry, inner
 from p2wss.skeleton.rings import are_apart, is_inside, segment_distance_m2, signed_area, to_segment_m2
 
-# nearer than this, edges and faces touch; files store coordinates in steps of a hundredth of a millimetre
+# metres: edges and faces that are nearer than this touch; files store hundredths of a millimetre
 TOUCH_M = 1e-5
 
 
 @inner
 def _edges_touch(plane_m: np.ndarray, corner: np.ndarray, a: int, b: int, c: int, d: int) -> bool:
-    """Whether the edges a b and c d of rings, which may have a vertex in common, have more than it in common."""
+    """Whether the edges a b and c d of rings touch, apart from a vertex that they may have in common."""
     touch2 = TOUCH_M * TOUCH_M
     at_a, at_b = (plane_m[a, 0], plane_m[a, 1]), (plane_m[b, 0], plane_m[b, 1])
     at_c, at_d = (plane_m[c, 0], plane_m[c, 1]), (plane_m[d, 0], plane_m[d, 1])
@@ -83,7 +83,7 @@ def _rule_of_ring(plane_m: np.ndarray, corner: np.ndarray, first: int, last: int
 def _rule_of_two_rings(
     plane_m: np.ndarray, corner: np.ndarray, ring_offset: np.ndarray, r: int, s: int
 ) -> int:
-    """The first rule that two rings of a face break together, or 0: they may touch in one vertex."""
+    """The first rule that two rings of a face break together, or 0. They may touch in a single vertex."""
     first_r, last_r, first_s, last_s = ring_offset[r], ring_offset[r + 1], ring_offset[s], ring_offset[s + 1]
     num_common = 0
     for k in range(first_r, last_r):
@@ -110,8 +110,8 @@ def _has_vertex(corner: np.ndarray, first: int, last: int, vertex: int) -> bool:
 
 @allocating
 def _touch_in_a_circle(corner: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int) -> bool:
-    """Whether rings that touch one after the other in a circle divide the interior of a face. Two rings have at most
-    one vertex in common."""
+    """Whether a chain of rings, each touching the next, closes to a circle and so divides the interior of a face. Two
+    rings have at most one vertex in common."""
     group = np.arange(last_ring - first_ring)
     for s in range(first_ring + 1, last_ring):
         for k in range(ring_offset[s], ring_offset[s + 1]):
@@ -121,7 +121,7 @@ def _touch_in_a_circle(corner: np.ndarray, ring_offset: np.ndarray, first_ring: 
                     if one == two:
                         return True
                     group[group == two] = one
-                    # further rings at this vertex touch that one there, too
+                    # further rings at this vertex touch ring r there, too
                     break
     return False
 
@@ -147,7 +147,7 @@ def _rule_of_holes(
 
 @entry
 def merged_vertices(vertex_m: np.ndarray, within_m: float) -> np.ndarray:
-    """int64 (v,): for each vertex the first one within ``within_m`` of it that is not merged with another itself."""
+    """int64 (v,): for each vertex the first vertex within ``within_m`` of it that is not merged with another itself."""
     result = np.arange(len(vertex_m))
     for i in range(len(vertex_m)):
         for j in range(i):

@@ -1,4 +1,4 @@
-"""Solids as files store them; faces that would violate a rule of ISO 19107 there become triangles."""
+"""Solids as files store them. Faces that would break a rule of ISO 19107 in a file are divided into triangles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ SCALE_M = 1e-5
 def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
     """(vertices as a file stores them, int64 (v, 3) in units of ``SCALE_M``; the surfaces of these vertices).
 
-    Vertices that are at one place in the file are one, so a ring may become shorter; it is dropped below three.
+    Vertices at the same place in the file become one, so a ring may become shorter. A ring with fewer than three is
+    dropped.
     """
     grid = np.round(np.asarray(vertex_m, float).reshape(-1, 3) / SCALE_M).astype(np.int64)
     place, index = unique_rows(grid)
@@ -42,8 +43,8 @@ def surfaces_to_write(
 ) -> tuple[list[Surface], list[Breach]]:
     """(the planar polygons of a mesh, the rules that they still break once they are stored).
 
-    origin_m: (3,), of the mesh in the CRS. A face that is not planar, or whose rings break a rule, is divided into its
-    triangles.
+    origin_m: (3,), the origin of the mesh in the CRS. A face that is not planar, or whose rings break a rule, is
+    divided into its triangles.
     """
     vertex_m = mesh.vertex_m + np.asarray(origin_m)
     pairs = _stored_breaches(vertex_m, mesh.surfaces)
@@ -58,7 +59,8 @@ def surfaces_to_write(
 
 
 def _stored_breaches(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> list[tuple[Breach, int]]:
-    """The rules that surfaces break once they are stored, each with the number of the face or -1."""
+    """(rule, face) of each rule that surfaces break once they are stored. face: its number, or -1 for a rule of the
+    shell."""
     grid, of_grid = stored(vertex_m, surfaces)
     return [
         (breach, of_grid[breach.face].face if breach.face >= 0 else -1)

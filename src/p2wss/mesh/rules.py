@@ -45,16 +45,16 @@ MEANINGS: dict[int, str] = {
 
 @dataclass(frozen=True)
 class Tolerances:
-    """snap_m: vertices within this distance are merged. planar_m: of vertices from the plane of a face. fold_deg:
-    between the normals of the triangles of a face."""
+    """snap_m: vertices within this distance are merged. planar_m: the largest distance of a vertex from the plane of
+    its face. fold_deg: the largest angle between the normals of the triangles of a face."""
 
     snap_m: float = 1e-3
     planar_m: float = 1e-2
     fold_deg: float = 20.0
 
 
-# the defaults of val3dity, and what we write: stricter, so that its rounding does not matter, and faces that are planar
-# but for a fifth of a millimetre
+# the defaults of val3dity, and the tolerances of the files that we write. These are stricter, so that the rounding in
+# val3dity does not matter, and faces are planar to a fifth of a millimetre
 VAL3DITY = Tolerances()
 WRITING = Tolerances(1.2e-3, 2e-4, 18.0)
 
@@ -79,9 +79,9 @@ def breaches(
 ) -> list[Breach]:
     """The rules that a shell of planar polygons breaks, none for a valid one.
 
-    Vertices within ``snap_m`` of each other are one. As validators do, rules of the shell are tested only if all its
-    faces are valid, and whether faces cross only if the shell is closed. vertex_m: float64 (v, 3), coordinates as a
-    file stores them. is_outer: false for the shell of a hollow, whose faces look inwards.
+    Vertices within ``snap_m`` of each other are one. As in validators, rules of the shell are tested only if all its
+    faces are valid, and crossings of faces only if the shell is closed. vertex_m: float64 (v, 3), coordinates as a file
+    stores them. is_outer: false for the shell of a hollow, whose faces look inwards.
     """
     if not surfaces:
         return [Breach(301)]
@@ -127,7 +127,7 @@ class _Faces:
         return cls(near, merged[local], ring_offset, face_ring, np.zeros((0, 3), np.int64))
 
     def breaches(self, tolerances: Tolerances) -> list[Breach]:
-        """Rules of single faces."""
+        """The rules that single faces break. Sets ``triangle`` once all rings are valid and planar."""
         num_rings = np.diff(self.face_ring)
         is_short = num_rings == 0
         is_short[np.repeat(np.arange(len(num_rings)), num_rings)[np.diff(self.ring_offset) < 3]] = True
@@ -151,8 +151,8 @@ class _Faces:
         return [Breach(204, f) for f in np.flatnonzero(is_folded).tolist()]
 
     def _in_planes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Corners (k, 2) in the plane of least squares of their face, seen from the side from which its exterior turns
-        counter-clockwise; and how far the farthest corner of each face is from that plane (f,)."""
+        """(corners (k, 2) in the least-squares plane of their face, distance of the farthest corner of each face from
+        that plane (f,)). A plane is seen from the side from which the exterior of its face turns counter-clockwise."""
         first = self.ring_offset[self.face_ring[:-1]]
         size = np.diff(self.ring_offset[self.face_ring])
         face = np.repeat(np.arange(len(size)), size)
@@ -169,13 +169,14 @@ class _Faces:
 
 
 def _lowest_cosine(normal: np.ndarray) -> float:
-    """That of the largest angle between unit normals (t, 3), without a matrix of all of them."""
+    """The cosine of the largest angle between unit normals (t, 3), without a matrix of all pairs."""
     rows = np.split(normal, range(_TOGETHER, len(normal), _TOGETHER))
     return min(float((some @ normal.T).min()) for some in rows)
 
 
 def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray | None = None) -> bool:
-    """Whether two of the triangles (t, 3), one of them asked (k,), have more in common than a vertex or an edge."""
+    """Whether one of the triangles ``asked``, (k,), by default all, intersects another of the triangles (t, 3) beyond a
+    common vertex or edge."""
     asked = np.arange(len(triangle)) if asked is None else asked
     return bool(shell_kernels.any_intersect(vertex_m, writable(triangle, np.int64), asked))
 

@@ -1,4 +1,4 @@
-"""The triangles of a solid, compiled: whether they cross, are thin, and may lose an edge, and what their planes are."""
+"""Triangles of a solid, compiled: crossings, thin triangles, whether an edge can be removed, and their planes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from p2wss.skeleton.ordering import order_of, sorted_by
 from p2wss.skeleton.rings import segment_distance_m2
 from p2wss.skeleton.types import FaceKind
 
-# faces at a common edge that enclose a smaller angle, in radians, lie on each other
+# radians: two faces with a common edge lie on each other if they enclose a smaller angle
 _FOLD_RAD = 1e-3
-# a triangle of less height than this has no normal that survives the rounding of a file
+# metres: a triangle of less height counts as without height, as the rounding of a file may turn its normal
 NO_HEIGHT_M = 1e-3
 _WALL = int(FaceKind.WALL)
 
 
 class Triangles(NamedTuple):
-    """Of a mesh. vertex_m: float64 (v, 3). triangle: int64 (t, 3). kind: uint8 (t,). label: int64 (t,)."""
+    """A mesh for compiled code. vertex_m: float64 (v, 3). triangle: int64 (t, 3). kind: uint8 (t,). label: int64
+    (t,)."""
 
     vertex_m: np.ndarray
     triangle: np.ndarray
@@ -30,15 +31,15 @@ class Triangles(NamedTuple):
 
 @entry
 def any_intersect(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray) -> bool:
-    """Whether one of the triangles, int64 (t, 3), that are asked, int64 (k,), has more in common with another one than
-    a vertex or an edge."""
+    """Whether one of the triangles with the indices ``asked``, int64 (k,), intersects another triangle beyond a common
+    vertex or edge. triangle: int64 (t, 3)."""
     num_near, normal = 0, np.empty((len(triangle), 3))
     near, low, high = (
         np.empty(len(triangle), np.int64),
         np.empty((len(triangle), 3)),
         np.empty((len(triangle), 3)),
     )
-    # those in the box of all that are asked
+    # triangles that reach into the box around all triangles that are asked
     least, most = np.full(3, np.inf), np.full(3, -np.inf)
     for s in asked:
         _box(vertex_m, triangle[s], low[0], high[0])
@@ -55,7 +56,7 @@ def any_intersect(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray)
             for i in range(3):
                 normal[t, i] /= length
             near[num_near], num_near = t, num_near + 1
-    # in the order of where they begin, so that few are compared
+    # sorted by where they begin along x, so that few are compared
     order = order_of(low[:num_near, 0].copy())
     near, from_m, to_m = near[order], low[order], high[order]
     begin, widest = from_m[:, 0].copy(), (to_m[:, 0] - from_m[:, 0]).max() if num_near else 0.0
@@ -76,7 +77,7 @@ def any_intersect(vertex_m: np.ndarray, triangle: np.ndarray, asked: np.ndarray)
 
 @inner
 def _box(vertex_m: np.ndarray, triangle: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
-    """Sets the ends (3,) of the box around a triangle (3,), a little larger."""
+    """Sets the low and the high end (3,) of the box around a triangle (3,), larger by the distance of a touch."""
     for i in range(3):
         a, b, c = vertex_m[triangle[0], i], vertex_m[triangle[1], i], vertex_m[triangle[2], i]
         low[i], high[i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
@@ -143,8 +144,8 @@ def planes_at(triangle: np.ndarray, label: np.ndarray, num_vertices: int) -> tup
 def planes_of(mesh: Triangles, num: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(kinds (p,), unit normals (p, 3), areas (p,)) of the planes of the labels below ``num``.
 
-    Normals are weighted by area, as that of a sliver alone is unreliable, and level for walls, which are upright; 0 for
-    a plane without area.
+    A normal is the mean of the normals of its triangles weighted by area, as the normal of a sliver alone is
+    unreliable. It is level for walls, which are upright, and 0 for a plane without area.
     """
     vertex_m, triangle, kind, number = mesh
     plane_kind, normal, area_m2 = np.zeros(num, np.uint8), np.zeros((num, 3)), np.empty(num)
@@ -164,8 +165,8 @@ def planes_of(mesh: Triangles, num: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 @entry
 def can_merge(triangle: np.ndarray, num_vertices: int, end: int, gone: int) -> bool:
-    """Whether triangles, int64 (t, 3), stay a manifold if two vertices with a common edge become one: these have two
-    triangles in common, and no neighbours but those of the two."""
+    """Whether triangles, int64 (t, 3), stay a manifold if the vertices ``end`` and ``gone`` of an edge become one: they
+    have two triangles in common, and no common neighbours but the third corners of these."""
     one, two, three = triangle[:, 0], triangle[:, 1], triangle[:, 2]
     has_end, has_gone = (
         (one == end) | (two == end) | (three == end),
@@ -226,7 +227,8 @@ def _is_beside(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, s
 
 @inner
 def _lie_on_each_other(vertex_m: np.ndarray, triangle: np.ndarray, s: int, i: int, t: int, j: int) -> bool:
-    """Whether two triangles with a common edge, whose other corners are number i and j, are folded onto each other."""
+    """Whether two triangles with a common edge are folded onto each other. Corner i of triangle s and corner j of
+    triangle t are not on that edge."""
     a, b = triangle[s, (i + 1) % 3], triangle[s, (i + 2) % 3]
     c, d = triangle[s, i], triangle[t, j]
     length2, c_along, d_along = 0.0, 0.0, 0.0
@@ -252,7 +254,7 @@ def _lie_on_each_other(vertex_m: np.ndarray, triangle: np.ndarray, s: int, i: in
 def _edge_meets(
     vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, s: int, i: int, t: int
 ) -> bool:
-    """Whether the edge opposite of corner i of triangle s touches triangle t."""
+    """Whether the edge opposite corner i of triangle s touches triangle t."""
     p, q = triangle[s, (i + 1) % 3], triangle[s, (i + 2) % 3]
     p_height, q_height = (
         _height(vertex_m, triangle, normal, t, p),

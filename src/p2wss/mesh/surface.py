@@ -27,7 +27,8 @@ def sample_surface(
 def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     """Exact distance of each point to the nearest triangle, metres. point_m (n, 3) -> (n,); inf without triangles.
 
-    The nearest place of a triangle is the projection of the point if that is inside, else on one of the edges.
+    The nearest place of a triangle is the projection of the point if the projection is inside; otherwise it is on an
+    edge.
     """
     corner_m = np.asarray(vertex_m, float)[np.asarray(triangle, int)]
     return np.sqrt(_squared_distances(np.ascontiguousarray(point_m, float), corner_m))
@@ -40,14 +41,14 @@ def _squared_distances(point_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
         for k in range(3):
             edge[k] = corner[(k + 1) % 3] - corner[k]
         normal = np.cross(edge[0], edge[1])
-        # that of a triangle without area is not a number: no point is inside
+        # the normal of a triangle without area is NaN, so that no point is inside
         normal /= np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
         for k in range(3):
             inward[k] = np.cross(normal, edge[k])
         for i in range(len(point_m)):
             x, y, z = point_m[i, 0] - corner[0, 0], point_m[i, 1] - corner[0, 1], point_m[i, 2] - corner[0, 2]
             height = x * normal[0] + y * normal[1] + z * normal[2]
-            # nothing of the triangle is nearer than its plane
+            # no part of the triangle is nearer than its plane
             if height**2 >= nearest[i]:
                 continue
             is_inside = True
@@ -58,7 +59,7 @@ def _squared_distances(point_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
                     point_m[i, 2] - corner[k, 2],
                 )
                 u, v, w = edge[k]
-                # of an edge without length, its start
+                # an edge without length is its start
                 share = (x * u + y * v + z * w) / max(u * u + v * v + w * w, _TINY)
                 share = min(max(share, 0.0), 1.0)
                 squared = (x - share * u) ** 2 + (y - share * v) ** 2 + (z - share * w) ** 2

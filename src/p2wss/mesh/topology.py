@@ -10,7 +10,7 @@ from p2wss.skeleton.types import differs, writable
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
 NEXT = np.array([1, 2, 0])
-# vertices nearer to each other are one in files
+# metres: vertices nearer to each other than this are one in files
 _WELD_M = 1e-4
 
 
@@ -24,7 +24,8 @@ def twins(triangle: np.ndarray) -> np.ndarray:
 
 
 def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """int64 (n,): for each half-edge between vertices, int64 (n,), the one that runs the other way, -1 for none."""
+    """int64 (n,): for each half-edge from ``start`` to ``end``, int64 (n,), the half-edge that runs the other way, -1
+    for none."""
     return np.asarray(_reverses(writable(start, np.int64), writable(end, np.int64)))
 
 
@@ -58,11 +59,13 @@ def doubled_plan_areas(corner_m: np.ndarray) -> np.ndarray:
 
 
 def border_rings(triangle: np.ndarray, face: np.ndarray, twin: np.ndarray) -> list[tuple[int, list[int]]]:
-    """(face, vertices) of the rings along the sides that have no triangle of the same face on the other side, in the
-    order of their first sides, each in the direction of its triangles (t, 3). face: (t,). twin: see :func:`twins`.
+    """(face, vertices) of each ring along the border of a face, in the order of their first sides.
 
-    From a side the next one is found by turning around their common vertex within the face. So where two borders of a
-    face touch in a vertex, one may lead to the other.
+    A side is on the border if there is no triangle of the same face across it. A ring has the direction of its
+    triangles (t, 3). face: (t,). twin: see :func:`twins`.
+
+    The next side of a border is found by turning around the common vertex within the face. So where two borders of a
+    face touch in a vertex, they may become one ring.
     """
     other = twin.ravel()
     is_border = (other < 0) | (face[other // 3] != np.repeat(face, 3))
@@ -99,10 +102,10 @@ def _border_sides(is_border: np.ndarray, twin: np.ndarray) -> tuple[np.ndarray, 
 
 
 def face_numbers(twin: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """The face, 0 to num_faces - 1 in the order of their first triangles, that each triangle is part of: int (t,).
+    """int (t,): the face of each triangle. Faces are numbered from 0 in the order of their first triangles.
 
-    Two triangles are of one face if they share a side and have equal labels, or are linked so through others.
-    twin: see :func:`twins`. label: int (t,).
+    Two triangles are in one face if they share a side and have equal labels, or if a chain of such triangles links
+    them. twin: see :func:`twins`. label: int (t,).
     """
     beside = twin // 3
     triangle, side = np.nonzero((twin >= 0) & (label[beside] == label[:, None]))
@@ -111,13 +114,13 @@ def face_numbers(twin: np.ndarray, label: np.ndarray) -> np.ndarray:
 
 def first_of_faces(face: np.ndarray) -> np.ndarray:
     """The first triangle (f,) of each of the faces that :func:`face_numbers` gives."""
-    # each face has a higher number than those before
+    # a new face has a higher number than all before
     return np.flatnonzero(differs(np.maximum.accumulate(face)))
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
-    """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
-    distinguish."""
+    """Whether every edge has exactly two triangles, in opposite directions, after merging the vertices that files do
+    not distinguish."""
     corner = unique_rows(np.rint(vertex_m / _WELD_M))[1][triangle]
     corner = corner[(corner != corner.take(NEXT, 1)).all(axis=1)]
     size = len(vertex_m)
@@ -127,7 +130,7 @@ def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
 
 
 def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(the different ones of some rows (n, k), ascending; the number of each among them, int64 (n,))."""
+    """(the distinct rows of ``rows`` (n, k), ascending; the number of each row among them, int64 (n,))."""
     # numpy's own function takes several times as long for a few rows
     order = np.lexsort(rows.T[::-1])
     ordered, is_new = rows[order], np.ones(len(rows), bool)

@@ -13,13 +13,13 @@ from p2wss.mesh.topology import crossed, doubled_plan_areas
 def triangulated(
     place_m: np.ndarray, vertex: np.ndarray, ring: np.ndarray, face_of_ring: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices of the triangles of polygons, int64 (t, 3), counter-clockwise; the face of each triangle, ascending):
-    constrained Delaunay triangulations, as validators use them; none of a polygon that is not valid.
+    """(vertices of the triangles of polygons, int64 (t, 3), counter-clockwise; the face of each triangle, ascending).
 
-    place_m: (k, 2), the corners of all rings, each in the plane of its face. vertex: (k,), of each corner. ring: (k,),
-    its ring, ascending. face_of_ring: the face of each ring, ascending, exteriors before holes.
+    These are constrained Delaunay triangulations, as in validators. A polygon that is not valid has no triangles.
+    place_m: (k, 2), the corners of all rings, each in the plane of its face. vertex, ring: (k,), the vertex and the
+    ring of each corner, rings ascending. face_of_ring: the face of each ring, ascending, exteriors before holes.
     """
-    # heights, which stay with their corners, are the numbers of the vertices
+    # the numbers of vertices are passed as heights, which stay with the corners
     rings = np.asarray(shapely.linearrings(np.column_stack([place_m, vertex]), indices=ring), object)
     polygons = np.asarray(shapely.polygons(rings, indices=face_of_ring), object)
     polygons[~shapely.is_valid(polygons)] = None
@@ -35,8 +35,8 @@ def triangulated(
 def triangulated_in_space(
     point_m: np.ndarray, faces: Sequence[Sequence[Sequence[int] | np.ndarray]], normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the rings of faces, at least one, of points (v, 3). normal: (f, 3), the unit normals of the faces, 0
-    of one without area."""
+    """:func:`triangulated` for faces in space, at least one. faces: the rings of each, indices of ``point_m`` (v, 3).
+    normal: (f, 3), the unit normals of the faces, 0 for a face without area."""
     rings = [ring for face in faces for ring in face]
     face_of_ring = np.repeat(np.arange(len(faces)), list(map(len, faces)))
     corner, ring = np.concatenate(rings), np.repeat(np.arange(len(rings)), list(map(len, rings)))
@@ -46,7 +46,7 @@ def triangulated_in_space(
 
 
 def axes_of(normal: np.ndarray) -> np.ndarray:
-    """(f, 2, 3), two unit vectors in planes of unit normals (f, 3), around which they turn counter-clockwise."""
+    """(f, 2, 3), two unit vectors in the plane of each unit normal (f, 3), counter-clockwise around it."""
     across = crossed(np.eye(3)[np.abs(normal).argmin(axis=1)], normal)
     # a face without area has no normal, and its corners are in one place, which is no polygon
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]

@@ -44,14 +44,14 @@ class Batch:
         return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
 
     def staged(self, device: torch.device) -> Batch:
-        """The batch where a copy to ``device`` does not keep the host waiting."""
+        """The batch in memory from which a copy to ``device`` does not keep the host waiting."""
         return Batch(**{name: compute.staged(value, device) for name, value in vars(self).items()})
 
     def __getitem__(self, rows: Tensor) -> Batch:
         return Batch(**{name: value[rows] for name, value in vars(self).items()})
 
     def replaced_by(self, other: Batch, is_replaced: Tensor) -> Batch:
-        """The batch, of which some rows, bool (b,), are those of another one of the same sizes."""
+        """The batch with the rows ``is_replaced``, bool (b,), taken from ``other``, a batch of the same sizes."""
         return Batch(
             **{
                 name: torch.where(is_replaced.view(-1, *[1] * (own.ndim - 1)), getattr(other, name), own)
@@ -80,8 +80,11 @@ def centre(batch: Batch) -> Batch:
 def cut(
     points_cm: np.ndarray, first: np.ndarray, count: np.ndarray, num_points: int, seeds: np.ndarray
 ) -> np.ndarray:
-    """Points in metres, float32 (b, p, 3), of b clouds: of the ``count`` (b,) points from ``first`` (b,) on at most
-    ``num_points`` each, drawn from the states ``seeds``, uint64 (b,), of the random numbers. 0 for padding."""
+    """Random points of b clouds in metres, float32 (b, p, 3), 0 for padding.
+
+    Cloud i has the ``count[i]`` rows of ``points_cm`` from ``first[i]`` on, of which at most ``num_points`` are drawn.
+    seeds: uint64 (b,), the state of the random numbers of each cloud.
+    """
     num_kept = np.minimum(count, num_points)
     points = np.zeros((len(count), num_kept.max(), 3), np.float32)
     _cut(points_cm, first, count, num_kept, seeds, points)
@@ -89,8 +92,8 @@ def cut(
 
 
 def thin(count: int, num_points: int, state: int | None = None) -> np.ndarray:
-    """Indices of at most ``num_points`` of ``count`` points, drawn from the state of the random numbers; without one,
-    the same for the same count."""
+    """Indices of at most ``num_points`` of ``count`` points, drawn from the ``state`` of the random numbers; without a
+    state, the draw depends on ``count`` alone."""
     selected = np.empty(min(count, num_points), np.int64)
     state = count * SEED_STRIDE if state is None else state
     _select(count, np.uint64(state & _MASK_64), selected)

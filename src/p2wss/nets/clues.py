@@ -1,4 +1,4 @@
-"""What is known of a roof with few points, as numbers for the network that supposes the rest. Imports no torch."""
+"""The input features of the network that predicts a roof from few points. Imports no torch."""
 
 from __future__ import annotations
 
@@ -6,25 +6,28 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-# what a building may have at most in training, and is thinned or simplified to: points on it, and around it, vertices
+# largest numbers in training of points on a building, of points around it, and of vertices; a building with more is
+# thinned or simplified
 MAX_POINTS, MAX_AROUND, MAX_VERTICES = 64, 24, 24
 # metres of a unit of the network, and of the longest building in training
 SCALE_M, MAX_SIZE_M = 10.0, 90.0
-# units: of the lowest frequency, and a distance that is none
+# half of the longest wave and the distance to padding, in units of the network; a term that keeps roots above 0
 _HALF_WAVE, _FAR, _TINY = 8.0, 9.0, 1e-8
-# buildings whose pairs stay in the cache of a processor: all at once take twice as long, except on a GPU
+# buildings at a time, so that their pairs stay in the cache of a processor: all at once take twice as long, except on a
+# GPU
 _AT_ONCE = 64
 _WAVES = (np.pi / _HALF_WAVE * 2.0 ** np.arange(6)).tolist()
 
-# of numpy, or in training of torch
+# an array of numpy or, in training, a tensor of torch
 Array: TypeAlias = Any
 
 
 class Clues(NamedTuple):
-    """Of b buildings, in units of 10 m, in the frame of the longest edge, z above the mean of the building's points.
+    """What is known of b buildings, in units of 10 m, in the frame of the longest edge, z above the mean of the
+    building's points.
 
     point: (b, p, 3), on the building. around: (b, a, 3), on the roofs around. ring: (b, v, 2), the footprint. place:
-    (b, q, 2), where the roof is asked for. is_point, is_around, is_vertex: false for padding.
+    (b, q, 2), where the roof is predicted. is_point, is_around, is_vertex: false for padding.
     """
 
     point: Array
@@ -41,7 +44,8 @@ class Features(NamedTuple):
 
     point: (b, p + a, 41). is_own: (b, p + a), 1 for points on the building. edge: (b, v, 56). place: (b, q, 26).
     is_token: bool (b, t). distance: (b, t, t), between tokens. offset: (b, q, t, 2) and place_distance: (b, q, t), from
-    tokens to places. axis: (b, t, 2), the direction in which the slope of a token's planes is stated. z: (b, t).
+    tokens to places. axis: (b, t, 2), the direction along which a token states the slope of its planes. z: (b, t), the
+    height of a token, 0 for an edge.
     """
 
     point: Array
@@ -121,7 +125,7 @@ def _features_at_once(clues: Clues, xp: Any) -> Features:
 
 
 def _length(x: Array, y: Array, xp: Any) -> Array:
-    """Of vectors. Changes ``x`` and ``y``: memory for new arrays would take longer than the sums."""
+    """Lengths of vectors. Changes ``x`` and ``y``: memory for new arrays would take longer than the sums."""
     x *= x
     y *= y
     x += y

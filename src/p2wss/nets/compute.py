@@ -16,12 +16,12 @@ from p2wss.config import Compute, DeviceName
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
 
-# of torch.compile
+# backend of torch.compile
 COMPILER = "inductor"
 
 
 def device_of(name: DeviceName) -> torch.device:
-    """The device of that name; "auto" is CUDA where available. Each process of torchrun gets a GPU of its own.
+    """The device named ``name``; "auto" is CUDA where available. Each process of torchrun gets a GPU of its own.
 
     Raises :class:`InputError` for "cuda" without a GPU.
     """
@@ -47,9 +47,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def compile_parts(module: nn.Module, kinds: tuple[type[nn.Module], ...]) -> None:
-    """Compile the parts of these kinds; those of a kind share their code.
+    """Compile the parts of ``module`` that have one of these classes; parts of one class share their code.
 
-    Not of several processes, which exchange the moments of batch norms within a part.
+    With several processes nothing is compiled, as they exchange the moments of batch norms within a part.
     """
     if distributed.num_processes() > 1:
         return

@@ -20,10 +20,10 @@ from p2wss.nets.patches import Patches, nearest_points, squared_distance
 NUM_NEIGHBOURS = 4
 NORM_GROUPS = 4
 SEED_RADIUS = 0.05
-# of the leaky ReLUs, as in DGCNN
+# slope of the leaky ReLUs, as in DGCNN
 _NEGATIVE_SLOPE = 0.2
-# of a training: the part over which the temperature falls and the weight of the divergence rises, and the part before
-# that weight is more than 0
+# shares of a training: in which the temperature falls and the weight of the divergence rises; in which that weight is
+# still 0
 _SCHEDULE_SHARE, _WITHOUT_DIVERGENCE_SHARE = 0.5, 0.05
 
 

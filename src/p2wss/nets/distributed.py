@@ -1,8 +1,8 @@
 """Training on several processes (torchrun).
 
-Each process takes some rows of a batch. Losses are defined so that their mean over the processes, and the mean of
-their gradients, equal those of a single process with the whole batch: sums are divided by counts averaged over the
-processes, batch norms use the moments over all, and losses over pairs see the features of all.
+Each process takes some rows of a batch. Losses are defined so that the mean of the losses and the mean of the gradients
+over the processes are the same as in a single process with the whole batch. Sums are divided by counts averaged over
+the processes, batch norms use the moments over all processes, and losses over pairs see the features of all processes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def num_processes() -> int:
 
 
 def rank() -> int:
-    """The number of this process among them, from 0."""
+    """The number of this process in its group, from 0."""
     return dist.get_rank() if dist.is_initialized() else 0
 
 

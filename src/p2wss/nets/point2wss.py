@@ -22,11 +22,11 @@ from p2wss.nets.transformer import Encoder
 POSITION_WIDTH = 128
 INITIAL_LOGIT_SCALE = math.log(1 / 0.07)
 MAX_LOGIT_SCALE = math.log(100)
-# of pairs that do not match and of pairs that do (section 4.5)
+# weights of pairs that do not match and of pairs that do (section 4.5)
 _MATCHING_WEIGHTS = (0.1, 0.9)
 # the weights that inference needs; the others serve training only
 INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.", "number_head.")
-# radians of a digit's period to which the deviation of a value is limited
+# least deviation of a value, in radians of a digit's period
 LEAST_SPREAD = 0.15
 
 
@@ -38,8 +38,8 @@ class Group(NamedTuple):
 
 
 class Sequences(NamedTuple):
-    """Token sequences of a batch, int64 (b, l): the true ones, what the network gets of them, with masks, and which of
-    them it has to predict, bool (b, l). num_vertices int64 (b,)."""
+    """Token sequences of a batch, int64 (b, l). tokens: the true sequences. given: what the network reads, with masks.
+    wanted: bool (b, l), the tokens to predict. num_vertices: int64 (b,)."""
 
     tokens: Tensor
     given: Tensor
@@ -194,11 +194,11 @@ class EdgeAttention(nn.Module):
 class NumberHead(nn.Module):
     """Logits of digits from a value that the digits of a number share.
 
-    Of each number a value v and its deviation s are linear in the features of its first digit. Digit d of place p has
-    the logit of a von Mises distribution, cos(2 pi (v - c) / 10^(p + 1)) / t^2: c is the middle of the numbers with
-    this digit, t is s in radians of the period, so that a deviation of decimetres says nothing of centimetres. From
-    classes alone a network hardly learns that a digit repeats ten times along a length: it learns metres, and all
-    decimetres stay equally probable.
+    Of each number, a value v and the logarithm of its deviation s are linear in the features of the first digit. Digit
+    d at place p has the logit of a von Mises distribution, cos(2 pi (v - c) / 10^(p + 1)) / t^2, where c is the middle
+    of the numbers with this digit. t^2 is the sum of s^2, in radians of the period, and of the square of
+    ``LEAST_SPREAD``: a deviation of decimetres says nothing of centimetres. From classes alone a network hardly learns
+    that a digit repeats ten times along a length: it learns metres, and all decimetres stay equally probable.
     """
 
     def __init__(self, dim: int, tokenizer: Tokenizer) -> None:
@@ -207,8 +207,10 @@ class NumberHead(nn.Module):
         self.linear = nn.Linear(dim, 2)
 
     def forward(self, x: Tensor, length: int, positions: Tensor | None = None) -> Tensor:
-        """Logits (b, r, vocabulary) of features ``x`` (b, r, dim) at the ``positions`` (r,) of sequences of ``length``,
-        by default all, with all digits of each number; zeros where there is no digit."""
+        """Logits (b, r, vocabulary) of features ``x`` (b, r, dim), zeros where there is no digit.
+
+        positions: (r,), in sequences of ``length``, with all digits of each number; None for all positions.
+        """
         place, first = self._digits(x, length, positions)
         value, log_deviation = self._values(x[:, first])
         period = 10.0 ** (torch.tensor(self.tokenizer.places) + 1) * NETWORK_SCALE
@@ -223,9 +225,11 @@ class NumberHead(nn.Module):
     def likelihood(
         self, x: Tensor, tokens: Tensor, wanted: Tensor, token_value: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Negative log-likelihoods (b, l) of the numbers of the ``tokens`` (b, l) whose first digits are ``wanted``,
-        bool (b, l), with Laplace distributions: the digits alone say little of a value that is still far off. They are
-        at these digits, bool (b, l), and 0 elsewhere."""
+        """(negative log-likelihoods of numbers at their first digits, 0 elsewhere; mask of these digits), both (b, l).
+
+        The distributions are Laplace, as digits alone say little about a value that is still far off. The numbers are
+        the ones in ``tokens`` (b, l) whose first digit is ``wanted``, bool (b, l).
+        """
         place, first = self._digits(x, tokens.shape[1], None)
         digit = token_value[tokens] * (place >= 0)
         number = torch.zeros_like(digit).index_add_(1, first, digit) * NETWORK_SCALE
@@ -235,7 +239,8 @@ class NumberHead(nn.Module):
         return off.abs() * (-log_deviation).exp() + log_deviation, chosen
 
     def _digits(self, x: Tensor, length: int, positions: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The places (r,) of the digits at ``positions`` (-1: no digit), and the first of their number among them."""
+        """The index in ``places`` of the place of the digit at each of the ``positions`` (r,), -1 without a digit, and
+        the index of the first digit of its number among them."""
         place, rank = (row.to(x.device, non_blocking=True) for row in self.tokenizer.digits(length))
         if positions is not None:
             place, rank = place[positions], rank[positions]
@@ -286,10 +291,10 @@ class Point2Wss(nn.Module):
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
-        patches, ground_z (b,): scaled and centred. patch_masked bool (a, g), patch_labels int64 (a, g), codes of the
-        discrete VAE: of the first a <= b pairs, on which the losses (1), (3) and (4) are computed. In the paper a = b;
-        for a = 0 there is only the loss (2). groups: all rows, in order; the sequences of a group are padded to its
-        longest, by default to the longest of all.
+        patches, ground_z (b,): scaled and centred. patch_masked bool (a, g), patch_labels int64 (a, g): masks and codes
+        of the discrete VAE for the first a <= b pairs, on which the losses (1), (3) and (4) are computed. In the paper
+        a = b; for a = 0 there is only the loss (2). groups: all rows, in order; the sequences of a group are padded to
+        its longest one. Without groups, all are padded to the longest of all.
         """
         tokens, given, wanted, num_vertices = sequences
         num_first = len(patch_masked)
@@ -320,7 +325,7 @@ class Point2Wss(nn.Module):
             sequence, masked = both.tensor_split([num_of_first])
             masked = self._add_edge_attention(masked, edges, cloud[rows], patches[rows], ground_z[rows])
             fused = self.sequence_cross(masked, present, source=(cloud[rows], valid[rows]))
-            # of all, because a GPU would have to tell how many are wanted
+            # of all tokens: to select the wanted ones, the host would have to wait for their number from the GPU
             words = self._words(fused, length).flatten(0, 1).float()
             part = {
                 "words": F.cross_entropy(words, row_tokens.flatten(), reduction="none"),
@@ -408,7 +413,7 @@ class Point2Wss(nn.Module):
         return self._words(x, tokens.shape[1], positions)
 
     def _words(self, x: Tensor, length: int, positions: Tensor | None = None) -> Tensor:
-        """Logits (b, r, vocabulary) of features (b, r, dim) at the ``positions`` (r,), by default all."""
+        """Logits (b, r, vocabulary) of features (b, r, dim) at the ``positions`` (r,), by default at all."""
         logits = self.sequence_head(x)
         if self.number_head is None:
             return logits
@@ -430,7 +435,7 @@ class Point2Wss(nn.Module):
 
 
 def _mean(loss: Tensor, is_term: Tensor) -> Tensor:
-    """Mean over the terms (k,) of all processes; 0 where there is none."""
+    """Mean of ``loss`` over the terms with ``is_term``, both (k,), of all processes; 0 where there is none."""
     return (loss * is_term).sum() / distributed.average_count(is_term.sum())
 
 

@@ -21,9 +21,9 @@ from p2wss.nets.prediction import Prediction
 from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, Quantised, roll_index
 from p2wss.nets.weights import load_model
 
-# rows of a pass on a GPU
+# rows of a forward pass on a GPU
 GPU_ROWS = 256
-# numbers of vertices that rings are padded to on a GPU, where many buildings are predicted at once
+# on a GPU, where many buildings are predicted at once, rings are padded to a multiple of this number of vertices
 _VERTEX_STEP = 8
 # the indices of the buildings of a pass, and arrays with a row for each
 _Pass = tuple[np.ndarray, tuple[np.ndarray, ...]]
@@ -41,14 +41,14 @@ class Point2WssPredictor:
     """A trained model. Memory does not grow with the number of buildings.
 
     A building's prediction does not depend on the other buildings of a call, to the last bit. Matrix products round
-    differently for other sizes and other numbers of threads, and each sum over padded rows for other padding. So the
-    sizes of everything that is computed follow from the building itself: on a CPU it has a forward pass to itself,
-    without padding and on one thread (with several threads, several buildings are predicted at a time); on a GPU every
-    pass has the same number of rows, padded to the most points and to a multiple of eight vertices.
+    differently for other sizes and other numbers of threads, and sums over padded rows for other padding. So all sizes
+    follow from the building itself. On a CPU each building has its own forward pass, without padding and on one thread
+    (with several threads, several buildings are predicted at a time). On a GPU every pass has the same number of rows,
+    padded to the most points and to a multiple of eight vertices.
     """
 
     def __init__(self, module: Point2Wss, num_views: int | None = None) -> None:
-        """``num_views``: of each building, whose probabilities are averaged; by default as the config says."""
+        """``num_views``: views of each building, whose probabilities are averaged; by default as the config says."""
         self.module = module.eval()
         self.device = next(module.parameters()).device
         self.tokenizer = module.tokenizer
@@ -123,8 +123,8 @@ class Point2WssPredictor:
         exterior: Sequence[np.ndarray],
         decode: Callable[[Batch], tuple[np.ndarray, ...]],
     ) -> Iterator[_Pass]:
-        """The indices of each pass, which are the first rows of its centred batch, and what ``decode`` returns for it;
-        without the buildings that the number format cannot represent."""
+        """For each pass: the indices of its buildings, and what ``decode`` returns for its centred batch, whose first
+        rows these buildings are. Buildings that the number format cannot represent are left out."""
 
         def run(index: np.ndarray) -> _Pass | None:
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
@@ -145,7 +145,7 @@ class Point2WssPredictor:
         yield from filter(None, results)
 
     def _width(self, num_vertices: np.ndarray) -> np.ndarray:
-        """Numbers of vertices after padding."""
+        """Numbers of vertices after padding, for each number of vertices."""
         step = 1 if self._rows_per_pass == 1 else _VERTEX_STEP
         return -(-num_vertices // step) * step
 
@@ -235,8 +235,8 @@ class Point2WssPredictor:
         )
 
     def _coordinates(self, blocks: Tensor, logits: Tensor) -> Tensor:
-        """int64 (b, n, 2): decoded coordinates of vertices, given the tokens of their blocks (b, n, l), where signs may
-        be visible, and the logits of these."""
+        """int64 (b, n, 2): decoded coordinates of vertices. blocks: (b, n, l), the tokens of the vertices, where signs
+        may be visible. logits: (b, n, l, vocabulary)."""
         tokenizer, axes = self.tokenizer, []
         for slot in (tokenizer.x_slot, tokenizer.y_slot):
             digits = logits[..., slot + 1 : slot + 1 + len(tokenizer.coord_places), :]
@@ -250,8 +250,8 @@ class Point2WssPredictor:
         return torch.stack(axes, -1)
 
     def _sequences(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        """Tokens (b, l) with masked heights and angles, their kinds (b, l), and the place (b, n) in the sequence of
-        each edge of the footprints."""
+        """Tokens (b, l) with masked heights and angles, their kinds (b, l), and (b, n): which vertex block of the
+        sequence belongs to each edge of the footprint."""
         tokenizer, num_vertices = self.tokenizer, batch.num_vertices
         parameters, start = tokenizer.canonical(
             tokenizer.quantise(batch.height, batch.xy, batch.angle, num_vertices)
@@ -278,7 +278,7 @@ class Point2WssPredictor:
 def _views(batch: Batch, patches: Patches, num_views: int) -> tuple[Batch, Patches]:
     """``num_views`` rotations of a batch and of its patches, one after the other; the first is the batch itself.
 
-    A rotation does not change the points of a patch.
+    A rotation does not change which points belong to a patch.
     """
     if num_views == 1:
         return batch, patches

@@ -1,4 +1,4 @@
-"""The roof that a network supposes between few points, in numpy; ``benchmarks/completion.py`` trains it."""
+"""Predict the roof between few points with a small network, in numpy; ``benchmarks/completion.py`` trains it."""
 
 from __future__ import annotations
 
@@ -24,29 +24,28 @@ from p2wss.nets.weights_file import read_metadata
 from p2wss.skeleton.compiled import entry, inner
 
 KIND = "completion"
-# metres by which footprints are simplified until they have few enough vertices
+# tolerances in metres with which footprints are simplified until they have few enough vertices
 _SIMPLIFY_M = (0.3, 0.5, 1.0, 2.0)
-# places at which the roof is asked for: at least, at most, and one per square metre in between; swept
+# least and largest number of places at which the roof is predicted, and one per square metre in between; swept
 _MIN_PLACES, _MAX_PLACES = 64, 200
 _HIDDEN, _EPSILON, _SLACK = -1e4, 1e-5, 1e-6
-# the table of GELU: its end, and steps of one
+# the table of GELU: its end, and its steps per unit
 _GELU_END, _GELU_STEPS = 6.0, 512
 _Weights = dict[str, np.ndarray]
 
 
 def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.ndarray) -> np.ndarray:
-    """Places (k, 3) all over a roof, at the heights that the network supposes: the median of its distribution, in whole
-    centimetres. Empty for a footprint of too many vertices,
-    or of a size that the network has not seen.
+    """Places (k, 3) all over a roof, at the heights that the network predicts: medians of its distributions, in whole
+    centimetres. (0, 3) for a footprint with too many vertices or larger than the footprints of the training.
 
-    polygon: the footprint. point_m: (m, 3), on the roof, m > 0. around_m: (n, 3), on the roofs around. The
-    longest edge of the footprint gives the frame, so that the result turns with the building.
+    polygon: the footprint. point_m: (m, 3), on the roof, m > 0. around_m: (n, 3), on the roofs around. The longest edge
+    of the footprint gives the frame, so that the result turns with the building.
     """
     ring_m = _simple_ring(polygon)
     if ring_m is None:
         return np.zeros((0, 3))
     edge_m = np.roll(ring_m, -1, axis=0) - ring_m
-    # of two as long as each other, the first, whatever the rounding
+    # the first one of equally long edges, whatever the rounding
     along = edge_m[np.round(np.hypot(*edge_m.T), 2).argmax()]
     cos, sin = along / np.hypot(*along)
     in_frame_m = _turned(ring_m, cos, -sin)
@@ -73,7 +72,7 @@ def supposed_roof(polygon: shapely.Polygon, point_m: np.ndarray, around_m: np.nd
 
 
 def _turned(place_m: np.ndarray, cos: float, sin: float) -> np.ndarray:
-    """Places (k, 2) or (k, 3), turned in plan; without a product of matrices, which depends on the processor."""
+    """Places (k, 2) or (k, 3), turned in plan: (k, 2). No matrix product, whose rounding depends on the processor."""
     x, y = place_m[:, 0], place_m[:, 1]
     return np.column_stack([cos * x - sin * y, sin * x + cos * y])
 
@@ -88,7 +87,7 @@ def _simple_ring(polygon: shapely.Polygon) -> np.ndarray | None:
 
 
 def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
-    """Places (k, 2) within a box, on a grid of which each is moved at random: GEOS fails on regular ones."""
+    """Places (k, 2) within a box: a random place in each cell of a grid, as GEOS fails on regular places."""
     gap_m = (area_m2 / np.clip(area_m2, _MIN_PLACES, _MAX_PLACES)) ** 0.5
     count = np.ceil(np.maximum((high_m - low_m) / gap_m - _SLACK, 1)).astype(int)
     step_m = (high_m - low_m) / count
@@ -98,7 +97,7 @@ def _grid(low_m: np.ndarray, high_m: np.ndarray, area_m2: float) -> np.ndarray:
 
 @cache
 def _weights() -> _Weights:
-    """Those that come with the package. Raises :class:`InputError` for a file that is missing or broken."""
+    """The weights that come with the package. Raises :class:`InputError` if the file is missing or broken."""
     from safetensors.numpy import load_file
 
     path = Path(str(files("p2wss"))) / "weights" / "completion.safetensors"
@@ -118,8 +117,8 @@ def _median(features: Features) -> np.ndarray:
 
 
 def mixture_of(features: Features, weights: _Weights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(z (q, k), slope (k, 2), logit (q, k)) of one building, as
-    ``RoofCompletion`` of ``benchmarks/completion_network.py`` has them."""
+    """(z (q, k), slope (k, 2), logit (q, k)) of the k planes of all tokens at the q places, for the first building of
+    ``features``; as ``RoofCompletion`` of ``benchmarks/completion_network.py`` computes them."""
     point, is_own, edge, place, is_token, distance, offset, place_distance, axis, z = (
         each[0] for each in features
     )
@@ -173,13 +172,15 @@ def _blocks(name: str, weights: _Weights) -> list[str]:
 
 
 def _gelu(x: np.ndarray) -> np.ndarray:
-    """x times the share of a normal distribution below x; of scipy, it takes a tenth of a second to load."""
+    """GELU: x times the share of a standard normal distribution below x. scipy would take a tenth of a second to
+    load."""
     return np.asarray(_gelus(x.ravel(), _gelu_table())).reshape(x.shape)
 
 
 @cache
 def _gelu_table() -> np.ndarray:
-    """Its values from -6 to 6: between them it is a line to 4e-7, and the error function takes ten times as long."""
+    """Values of GELU from -6 to 6. Linear interpolation is exact to 4e-7; the error function takes ten times as
+    long."""
     x = np.arange(-_GELU_END, _GELU_END + 2 / _GELU_STEPS, 1 / _GELU_STEPS).tolist()
     return np.array([each * (0.5 + 0.5 * math.erf(each / math.sqrt(2.0))) for each in x])
 
@@ -210,8 +211,11 @@ def _choices(
     choice: np.ndarray,
     table: np.ndarray,
 ) -> np.ndarray:
-    """(q, k, 2), of both planes of each token at each place. of_plane: (k, 2, h), of_place: (q, h), pair: (q, k, 6),
-    of_pair: (6, h), choice: (h,). Arrays (q, k, 2, h) would be 20 MB each, and take three times as long."""
+    """(q, k, 2): the logits, without bias, of both planes of each token at each place.
+
+    of_plane: (k, 2, h), of_place: (q, h), pair: (q, k, 6), of_pair: (6, h), choice: (h,). Arrays (q, k, 2, h) would be
+    20 MB each, and take three times as long.
+    """
     num_hidden = len(choice)
     result, both = np.empty((len(of_place), len(of_plane), 2)), np.empty(num_hidden)
     for q in range(len(of_place)):

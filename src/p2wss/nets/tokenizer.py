@@ -73,7 +73,7 @@ class Tokenizer:
         )
         self.max_height = 10 ** len(self.places) - 1
         self.max_coord = 10 ** len(self.coord_places) - 1
-        # of a vertex, whatever the rotation
+        # distance from the origin at which a vertex fits the number format in every rotation
         self.reach_m = self.max_coord * 10.0**-coord_decimals
 
         header = [(START, KIND_FRAME), (HEIGHT, KIND_TYPE)] + [(MASK, KIND_HEIGHT)] * len(self.places)
@@ -164,7 +164,7 @@ class Tokenizer:
         return tokens[:, self.header_length : -1].unflatten(1, (-1, self.block_length))
 
     def length(self, num_vertices: int) -> int:
-        """Of the sequence of a building with so many vertices."""
+        """Length of the sequence of a building with ``num_vertices`` vertices."""
         return self.header_length + self.block_length * num_vertices + 1
 
     def kinds(self, tokens_shape: torch.Size, num_vertices: Tensor) -> Tensor:
@@ -200,8 +200,8 @@ class Tokenizer:
         return torch.cat([(kind == KIND_HEIGHT).nonzero()[:, 0], (kind == KIND_ANGLE).nonzero()[:, 0]])
 
     def digits(self, length: int) -> tuple[Tensor, Tensor]:
-        """Of each position of sequences of this ``length``, int64 (length,): the index of its place in ``places``, and
-        how many digits of its number stand before it; -1 and 0 where there is no digit."""
+        """Two rows int64 (length,) for the positions of sequences of this ``length``: the index in ``places`` of the
+        digit's place, -1 without a digit; and how many digits of the same number stand before it, 0 without a digit."""
         block = [(self.x_slot + 1, self.coord_places), (self.y_slot + 1, self.coord_places)]
         block += [(self.angle_slot, self.angle_places)]
         header = [(self.header_length - len(self.places), self.places)]

@@ -21,7 +21,7 @@ class Attention(nn.Module):
         self.out = nn.Linear(dim, dim)
 
     def forward(self, x: Tensor, source: Tensor, allowed: Tensor) -> Tensor:
-        """``x`` (b, l, dim), ``source`` (b, s, dim), ``allowed`` bool to (b, heads, l, s) -> (b, l, dim)."""
+        """``x`` (b, l, dim), ``source`` (b, s, dim), ``allowed`` bool, broadcast to (b, heads, l, s) -> (b, l, dim)."""
         query = self.query(x).unflatten(-1, (self.num_heads, -1)).transpose(1, 2)
         key, value = self.key_value(source).unflatten(-1, (2, self.num_heads, -1)).unbind(2)
         mixed = F.scaled_dot_product_attention(
@@ -54,7 +54,7 @@ class Mlp(nn.Sequential):
         super().__init__(nn.Linear(dim, int(ratio * dim)), nn.GELU(), nn.Linear(int(ratio * dim), dim))
 
 
-# features (b, s, dim) and where attention to them is allowed, bool to (b, heads, l, s)
+# features (b, s, dim), and where attention to them is allowed: bool, broadcast to (b, heads, l, s)
 Source = tuple[Tensor, Tensor]
 
 
@@ -75,8 +75,8 @@ class Block(nn.Module):
     def forward(
         self, x: Tensor, allowed: Tensor, source: Source | None, positions: Tensor | None = None
     ) -> Tensor:
-        """``x`` (b, l, dim), ``allowed`` bool to (b, heads, l, l) -> (b, l, dim), or (b, r, dim) of the
-        ``positions``, int64 (r,). ``source`` is what a block with cross-attention reads."""
+        """``x`` (b, l, dim), ``allowed`` bool, broadcast to (b, heads, l, l) -> (b, l, dim). With ``positions``, int64
+        (r,), only these rows are computed: (b, r, dim). ``source``: what a block with cross-attention reads."""
         h = query = self.self_norm(x)
         if positions is not None:
             x, query = x[:, positions], h[:, positions]
@@ -108,8 +108,8 @@ class Encoder(nn.Module):
     ) -> Tensor:
         """``x`` (b, l, dim), ``valid`` bool (b, l), false for padding -> (b, l, dim).
 
-        embedding: (b, l, dim), of positions, added before every block (as Point-BERT does for clouds). source:
-        for cross-attention, features (b, s, dim) and their validity, bool (b, s). positions: int64 (r,), those
+        embedding: (b, l, dim), of positions, added before every block (as Point-BERT does for clouds). source: for
+        cross-attention, features (b, s, dim) and their validity, bool (b, s). positions: int64 (r,), the positions
         whose output is needed; the result is (b, r, dim), and the last block computes no others.
         """
         allowed = valid[:, None, None]

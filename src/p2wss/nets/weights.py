@@ -107,20 +107,21 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
 
 
 def _settings(config: dict[str, Any]) -> dict[str, Any]:
-    """The config of a network without where it was trained, which only files of older versions state."""
+    """The config of a network without the settings of the machine that trained it, which only files of older versions
+    have."""
     return {name: value for name, value in config.items() if name != "compute"}
 
 
 class _WithoutNormalDraws(TorchFunctionMode):
-    """Leaves out what torch draws for embeddings: for tensors without memory it would import its compiler, which takes
-    longer than all else. Arithmetic with such tensors does so, too."""
+    """Skips the random draws that initialise embeddings. For tensors without memory, torch would import its compiler
+    for them, which takes longer than all else. It does so for arithmetic with such tensors, too."""
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         return None if func is torch.nn.init.normal_ else func(*args, **kwargs or {})
 
 
 def _built(build: Callable[[], _Network], state: dict[str, Tensor]) -> _Network:
-    """The network. Raises ValueError if the config describes one of other sizes than the file's tensors.
+    """The network that ``build`` makes. Raises ValueError if the tensors of ``state`` have other sizes.
 
     It is built without memory first, so that a config that does not belong to the weights cannot take all of it.
     """

@@ -10,17 +10,17 @@ from typing import Any
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError, reading
 
-# in place of a file of weights: no network, and that of the package
+# values in place of a file of weights: no network, and the weights of the package
 NO_NETWORK, SHIPPED = "none", "point2wss"
-# the phrase of messages
+# what messages call such a file
 KIND = "a readable safetensors file"
 
 
 def weights_to_use(model: Path | None) -> Path | None:
-    """The file of weights of Point2WSS: ``model``, "point2wss" for the one that comes with the package; None for no
-    network of the paper, as with the ``model`` "none".
+    """The file of weights of Point2WSS. ``model`` "point2wss" gives the file of the package; None or "none" gives None:
+    the network of the paper is not used.
 
-    Raises :class:`InputError` where the package has come without weights.
+    Raises :class:`InputError` for "point2wss" if the package has come without weights.
     """
     if model is None or str(model) == NO_NETWORK:
         return None

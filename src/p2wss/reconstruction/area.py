@@ -1,7 +1,7 @@
-"""An area, with or without limits, batch by batch: memory holds the points and footprints of one batch.
+"""An area of any size, reconstructed batch by batch: memory holds the points of one batch.
 
-A batch is some of the footprints. With it come the footprints on which its registration depends, and the points around
-both, so that a building is the same in any batch, in any tile, and alone.
+A batch is some of the footprints, together with the footprints on which their registration depends, and the points
+around all of these. So a building is the same in any batch, in any tile, and alone.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
-# a building depends on points up to so far from its footprint, which may move and turn
+# a building depends on points up to this far from its footprint, which may move and turn
 MARGIN_M = GROUND_REACH_M + 2 * MAX_SHIFT_M
-# and those that only take part in its registration on points up to so far from theirs
+# a footprint that only takes part in the registration of others depends on points up to this far from it
 _AROUND_MARGIN_M = 16.0
 # footprints this near may share walls
 _BESIDE_M = 0.5
-# of a batch, without what is around it
+# limits of a batch: points within the margin of its footprints, and its footprints without further ones around
 MAX_POINTS = 3_000_000
 MAX_FOOTPRINTS = 500
 # column: the number of a footprint in its file
@@ -56,10 +56,11 @@ _NUMBER = "p2wss_number"
 
 
 class Area:
-    """Footprints to reconstruct, and those around on which they depend.
+    """Footprints to reconstruct, and the footprints around on which they depend.
 
     features: all footprints, as :func:`p2wss.footprints.cleaning.clean_footprints` returns them. is_chosen: bool
-    (footprints,), those whose results are requested. is_built: these and those that may share walls with them.
+    (footprints,), whether the result is requested. is_built: bool (footprints,), whether the footprint is chosen or may
+    share walls with a chosen one.
     """
 
     def __init__(self, features: Features, is_chosen: np.ndarray, config: Reconstruct) -> None:
@@ -78,11 +79,11 @@ class Area:
 
     @property
     def boxes(self) -> np.ndarray:
-        """Places whose points are needed, (n, 4)."""
+        """Boxes in which points are needed, float64 (n, 4): x_min, y_min, x_max and y_max."""
         return self._boxes(self.is_built, self._is_around)
 
     def batches(self, points: CloudIndex) -> Iterator[np.ndarray]:
-        """The footprints to build in compact groups, ascending numbers of rows."""
+        """The footprints to build in compact batches: the ascending rows of each batch."""
         centre = np.nan_to_num((self._box[:, :2] + self._box[:, 2:]) / 2)
         pending = [np.flatnonzero(self.is_built)]
         while pending:
@@ -100,9 +101,9 @@ class Area:
     def read(
         self, rows: np.ndarray, points: CloudIndex, registers: np.ndarray
     ) -> tuple[Features, list[Registration | None], Cloud]:
-        """The footprints ``rows``, where the cloud shows them, what moved each, and the points around them.
+        """(the footprints ``rows`` as registered, the registration of each or None, the points around them).
 
-        registers: of all footprints, whether they may be moved, int8 (footprints,), as :meth:`registers` returns.
+        registers: int8 (footprints,), whether each footprint may be moved, as :meth:`registers` returns it.
         """
         is_row = np.zeros(len(self.features), bool)
         is_row[rows] = True
@@ -121,9 +122,10 @@ class Area:
         return around.take(chosen), [done.get(k) for k in chosen.tolist()], cloud
 
     def registers(self, points: CloudIndex) -> np.ndarray:
-        """Whether each footprint may be moved, int8 (footprints,): :data:`CLASSES` in blocks around which the producer
-        has points of class building, else :data:`OWN_BUILDINGS`, or :data:`OWN_CLASSES` without points of class ground,
-        as what :mod:`p2wss.reconstruction.points.unclassified` takes for them says less; without registration, none."""
+        """int8 (footprints,): whether each footprint may be moved, and by which evidence. It is :data:`CLASSES` in
+        blocks around which the producer has classified buildings, else :data:`OWN_BUILDINGS` where it has classified
+        ground, else :data:`OWN_CLASSES`: the classes of :mod:`p2wss.reconstruction.points.unclassified` are weaker
+        evidence. All are :data:`STAYS` without registration."""
         if self._surroundings is None:
             return np.full(len(self.features), STAYS, np.int8)
         has_ground, has_buildings = (
@@ -134,7 +136,8 @@ class Area:
         return np.where(has_buildings, CLASSES, own).astype(np.int8)
 
     def missing_classes(self, points: CloudIndex) -> tuple[int, int, int]:
-        """Chosen footprints with points around them: those of which none is ground, none is building, and all."""
+        """Three numbers of chosen footprints with points around them: without a point of class ground, without a point
+        of class building, and all."""
         x_m, y_m = self._centre_m()
         x_m, y_m = x_m[self.is_chosen], y_m[self.is_chosen]
         has_points = points.has_points(x_m, y_m)
@@ -151,7 +154,8 @@ class Area:
         return is_row if self._surroundings is None else self._surroundings.around(is_row)
 
     def _beside(self, is_row: np.ndarray) -> np.ndarray:
-        """The footprints that touch some of the rows or, after the registration, may do so."""
+        """bool (footprints,): the rows, and the footprints that touch one of them or may do so after the
+        registration."""
         if is_row.all():
             return is_row
         present = np.flatnonzero(np.isfinite(self._box[:, 0]))
@@ -161,7 +165,7 @@ class Area:
         ]
         result = np.zeros(len(is_row), bool)
         result[present[near]] = True
-        # blocks move apart
+        # each block moves on its own
         return result if self._surroundings is None else result & self._surroundings.whole_blocks(is_row)
 
     def _boxes(self, is_row: np.ndarray, is_around: np.ndarray) -> np.ndarray:
@@ -176,9 +180,9 @@ def run_area(
     registers: np.ndarray,
     progress: Callable[[int], object] = lambda num_done: None,
 ) -> None:
-    """Reconstruct a result per row of ``area.numbers``, by its position there.
+    """Reconstruct the footprints ``area.numbers`` into ``rows``, in this order.
 
-    points: those in ``area.boxes``. registers: see :meth:`Area.read`. progress: called with the number of results.
+    points: all points in ``area.boxes``. registers: see :meth:`Area.read`. progress: called with the number of results.
     """
     position = np.empty(len(area.features), np.int64)
     position[area.numbers] = np.arange(len(area.numbers))
@@ -225,14 +229,15 @@ def read_features(inputs: Inputs, settings: Reconstruct) -> Features:
 
 
 def footprint_settings(config: Config) -> Scenes:
-    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints: those of
-    the section scenes, but with ``reconstruct.simplify_m``."""
+    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints: the
+    section scenes, but with ``reconstruct.simplify_m``."""
     return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
 
 
 def cleaned(features: Features, config: Config) -> Features:
-    """The footprints as :func:`p2wss.footprints.cleaning.clean_footprints` returns them; where errors are met, those of
-    a block at which it fails stay as they are, or get the reason ``internal-error`` if even that fails.
+    """The footprints as :func:`p2wss.footprints.cleaning.clean_footprints` returns them. Where errors are met, the
+    footprints of a block at which it fails stay as they are. If even that fails, they become empty with the status
+    ``internal-error``.
 
     features: what :func:`p2wss.footprints.cleaning.read_footprints` returns."""
     settings = footprint_settings(config)
@@ -264,14 +269,15 @@ def cleaned(features: Features, config: Config) -> Features:
 
 
 def window(features: Features) -> Bounds:
-    """The bounds that a cloud must cover: the footprints and the ground around them."""
+    """The bounds of the footprints and the ground around them, where a cloud must have points; zeros without
+    footprints."""
     if not len(features):
         return 0.0, 0.0, 0.0, 0.0
     return grown(shapely.total_bounds(features.geometry).tolist(), GROUND_REACH_M)
 
 
 def in_tile(features: Features, tile: str | None, tile_size_m: float) -> np.ndarray:
-    """Whether the centre of each footprint is in the tile, bool (footprints,); all are without a tile."""
+    """bool (footprints,): whether the centre of each footprint is in the tile; all True if ``tile`` is None."""
     if tile is None:
         return np.ones(len(features), bool)
     result = np.zeros(len(features), bool)
@@ -288,11 +294,12 @@ def chosen(
     bbox: Bounds | None,
     name: str | Path,
 ) -> np.ndarray:
-    """The footprints with one of these ids and the centre in ``bbox``, bool (footprints,). A part of a split footprint
-    is chosen by the id of the footprint, too.
+    """bool (footprints,): whether each footprint has one of these ids, and its centre in ``bbox``. The id of a split
+    footprint chooses all its parts.
 
-    whole: ids of the footprints before they were split. bbox: (x_min, y_min, x_max, y_max) in the CRS of the run.
-    Raises :class:`InputError` if there are none, or if an id is missing.
+    ids, bbox: None does not limit. whole: ids of the footprints before they were split. bbox: (x_min, y_min, x_max,
+    y_max) in the CRS of the run. name: of the footprints, for messages. Raises :class:`InputError` if ``bbox`` leaves
+    no footprint, or if an id is missing.
     """
     result = np.ones(len(features), bool)
     if ids is not None:

@@ -1,4 +1,4 @@
-"""Whether the code is compiled for this computer; apart from what compiles it, so that this is known at once."""
+"""Whether the code is compiled for this computer. A module of its own, so that the answer needs no slow import."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from p2wss.reconstruction.running.processes import can_fork
 from p2wss.skeleton.compiled import alone_ahead, cache_folder, is_stored
 from p2wss.storage.log_lines import log
 
-# of processes that compile, each of which takes 0.6 GB
+# most processes that compile at once; each takes 0.6 GB
 _MAX_PROCESSES = 4
 
 
@@ -27,11 +27,11 @@ def num_processes() -> int:
 
 
 def compile_once() -> None:
-    """Compile the code of the product before a first run needs it function by function, if several cores are there, and
-    no other process does the same: where many runs begin at once, as those of a workflow, one has further processes.
+    """Compile the code of the product in several processes, before a first run compiles it function by function.
 
-    The run compiles what is missing, whatever happens here. A process with threads is not forked: a fork has none of
-    them, but what they had locked.
+    This is done only if there are several cores, and if no other process is doing it: of many runs that begin at once,
+    as in a workflow, only one starts further processes. Whatever happens here, the run itself compiles what is missing.
+    A process with threads is not forked, because the fork would lack the threads, but keep their locks.
     """
     can_share = num_processes() > 1 and can_fork() and threading.active_count() == 1
     if not can_share or cache_folder() is None or is_stored(contracted):
@@ -47,7 +47,8 @@ def compile_once() -> None:
 
 
 def marker(with_scans: bool) -> Path | None:
-    """The file beside the cached code that exists once all of these sources are compiled; None without a cache."""
+    """The path of a file beside the cached code that exists once these sources are compiled completely; None without a
+    cache. with_scans: whether the code of simulated scans is compiled, too."""
     folder = cache_folder()
     if folder is None:
         return None

@@ -1,4 +1,4 @@
-"""Why a roof is as it is: the planes that its points show, the lines between them, and what each price decided."""
+"""Why a roof is as it is: the planes that its points show, the lines between planes, and what each price decided."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from p2wss.fit.planes.detection import distances
 from p2wss.fit.planes.fit import PlanesFit
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.solid import OUTSIDE
-from p2wss.reconstruction import scene
+from p2wss.reconstruction import run
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs.picture import plot
+from p2wss.reconstruction.scene import SceneBuilding
 from p2wss.skeleton.angles import slope_angles
 from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 
-# a plane that lies over no cell would be over those in which most points are of it
+# a plane that is not used is tried in cells in which it has more than this share of the points
 _MOST = 0.5
-# each plane is compared with a search without it, whose cost in all grows with the square of their number
+# with more planes, the roof without each plane is not computed: the time grows with the square of their number
 _MAX_COMPARED = 300
 
 
@@ -32,11 +33,11 @@ _MAX_COMPARED = 300
 class Explanation:
     """A building and how its planes were chosen.
 
-    planes: of the fit whose solid is written; None for a parametric building, a flat roof, or none. num_fits: how many
-    were made, more than one where a solid was not valid.
+    planes: the fit whose solid is written; None for a parametric building, a flat roof, or no mesh. num_fits: number of
+    fits of planes; more than one if a solid was not valid.
     """
 
-    building: scene.SceneBuilding
+    building: SceneBuilding
     planes: PlanesFit | None
     num_fits: int
 
@@ -56,7 +57,8 @@ class Explanation:
         return "\n".join([*text, *_planes(self.planes), *_prices(self.planes)])
 
     def plot(self) -> Any:
-        """A figure of matplotlib (the extra ``report``): the points by plane, lines and borders, the building."""
+        """A figure of matplotlib (the extra ``report``) with three pictures: the points by plane; the lines, and the
+        borders of the planes that are used; the building."""
         from matplotlib import pyplot
         from matplotlib.collections import LineCollection
         from matplotlib.colors import to_rgba
@@ -88,8 +90,8 @@ class Explanation:
 
 
 def _planes(fit: PlanesFit) -> Iterator[str]:
-    """A line per plane, under a title."""
-    # others are on roofs around
+    """A line of text per plane, under two lines of titles."""
+    # cell -1: points on roofs around
     cell = fit.cells.cells_at(fit.point_m[:, :2])
     is_built = fit.built != OUTSIDE
     area_m2 = np.bincount(fit.built[is_built], fit.cells.area_m2[is_built], len(fit.plane))
@@ -113,8 +115,8 @@ def _planes(fit: PlanesFit) -> Iterator[str]:
 
 
 def _saving(fit: PlanesFit, number: int, cell: np.ndarray, own: np.ndarray) -> str:
-    """What a plane that is used saves, or what one that is not would cost. cell: (m,), that of each point, -1 outside.
-    own: bool (m,), its points inside."""
+    """A text: what a used plane saves, or what an unused plane would cost if it were used. cell: (m,), the cell of each
+    point, -1 outside. own: bool (m,), the points of the plane inside the building."""
     problem, total_m3 = fit.costs.problem, fit.costs.total_m3(fit.label)
     if (fit.label == number).any():
         if not (fit.built == number).any():
@@ -133,7 +135,7 @@ def _saving(fit: PlanesFit, number: int, cell: np.ndarray, own: np.ndarray) -> s
 
 
 def _prices(fit: PlanesFit) -> Iterator[str]:
-    """Lines on the lines between planes, and on what the roof costs."""
+    """Lines of text: how many lines between planes are used, and the parts of the cost of the roof."""
     inner = (fit.cells.pair >= 0).all(axis=1)
     beside, line = fit.label[fit.cells.pair[inner]], fit.cells.line[inner]
     num_used = len(np.unique(line[beside[:, 0] != beside[:, 1]]))
@@ -148,10 +150,10 @@ def _prices(fit: PlanesFit) -> Iterator[str]:
 
 
 def explain(inputs: Inputs, config: Config, building_id: str) -> Explanation:
-    """Reconstruct one building as a run does, but without a limit of triangles, which is of all buildings of a run, and
-    keep what was chosen on the way.
+    """Reconstruct one building as a run does, and keep what was chosen on the way. The limit of triangles is ignored,
+    as it applies to all buildings of a run together.
 
-    Raises :class:`InputError` if no footprint has this id, or only parts of one.
+    Raises :class:`InputError` if no footprint has this id, or if only its parts are built, which have ids of their own.
     """
     if config.reconstruct.max_triangles is not None:
         log.info(
@@ -162,13 +164,13 @@ def explain(inputs: Inputs, config: Config, building_id: str) -> Explanation:
     trace: list[tuple[str, PlanesFit | None]] = []
     token = TRACE.set(trace)
     try:
-        selection, here = scene.Selection(ids=[building_id]), scene.Machine(threads=0)
-        with scene.reconstruct(inputs, config, selection, here, progress=False) as result:
+        selection, here = run.Selection(ids=[building_id]), run.Machine(threads=0)
+        with run.reconstruct(inputs, config, selection, here, progress=False) as result:
             if building_id not in result:
                 raise InputError(f"{building_id}: is in parts; choose from {', '.join(result)}")
             building = result[building_id]
     finally:
         TRACE.reset(token)
-    # its neighbours are built, too
+    # the trace has its neighbours, too, which are built with it
     fits = [planes for each, planes in trace if each == building_id]
     return Explanation(building, fits[-1] if fits and building.status == "ok" else None, len(fits))

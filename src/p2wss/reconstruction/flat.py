@@ -18,15 +18,15 @@ def with_fallback(
 ) -> list[Reconstruction]:
     """The reconstructions, with flat roofs (method ``lod1``) for buildings without a mesh.
 
-    The roof is at the height of the points on the building, and the status keeps the reason; without such points it is
-    at the height that the footprint states, if it does, with the status "height-from-attribute"; else the status says
-    that there are none, or that only the ground below a stated height is missing.
+    The roof is at the median height of the points on the building, and the status keeps the reason. Without such
+    points, it is at the height that the footprint states, with the status "height-from-attribute". If there is no
+    stated height, or no ground for it, the building stays without a mesh, and the status tells which is missing.
     """
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
     of_missing = [buildings[i] for i in missing]
     height = np.array([flat_height_m(building) for building in of_missing])
-    # without a ground, a stated height is of no use
+    # a stated height cannot be used without a ground
     has_no_ground = [np.isnan(b.ground_z_m) and np.isfinite(b.stated_height_m) for b in of_missing]
     stated = [b.stated_height_m if np.isfinite(b.ground_z_m) else np.nan for b in of_missing]
     is_stated = np.isnan(height)
@@ -56,8 +56,8 @@ def constant(
     method: str = "constant",
     reason: str = reasons.NO_HEIGHT,
 ) -> list[Reconstruction]:
-    """Buildings with given heights (b,) and the same angle at every edge; NaN for a building without a height, which
-    gets no mesh, for ``reason``."""
+    """Buildings with the same angle at every edge. eave_height_m: (b,); a building with NaN gets no mesh, for
+    ``reason``, or because it has no points."""
     rings = [building.rings for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
     status = [reason if len(building.point_m) else reasons.NO_POINTS for building in buildings]

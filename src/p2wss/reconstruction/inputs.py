@@ -1,5 +1,5 @@
-"""Inputs of a reconstruction: what can be wrong with them is reported before anything slow is read, from names,
-signatures and headers of the files."""
+"""Inputs of a reconstruction, checked by names, signatures and headers of the files. So an error is reported before
+anything slow is read."""
 
 from __future__ import annotations
 
@@ -54,23 +54,23 @@ _SAME_UNIT = 1e-5
 _FAR_M = 100_000.0
 # LAS 1.4 names fewer than 20 classes, and surveys add a few
 _MAX_CLASSES = 32
-# around footprints, besides the margin of the triangulated terrain, where heights of a large raster are read
+# heights of a large raster are read this far around footprints, plus the margin of the triangulated terrain
 _GROUND_M = 100.0
-# on the ground
+# length of a radian on the ground
 _RADIAN_M = 6.4e6
-# what messages and outputs call data without a file
-_CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
+# the name of points without a file, in messages and outputs
+_CLOUD = Path("cloud")
 
 
 @dataclass(frozen=True)
 class Inputs:
     """The checked inputs of a run.
 
-    name: of the outputs, after the first cloud. headers: of the clouds, files of folders included. points: the cloud if
-    it is in memory. footprints: None where they are derived from the points. metric: the CRS of the run, ``crs``, and
-    that of the clouds. terrain: in the CRS of the run, and its file. weights: of Point2WSS, None for none. completion:
-    whether another network may complete roofs of few points. lines: of roofs, (l, 2, 2), in the CRS of the run, and the
-    name of their file; None for none.
+    name: the name of the outputs, from the first cloud. headers: of the clouds, files of folders included. points: the
+    cloud if it is in memory, else None. footprints: None where they are derived from the points. metric: the CRS of the
+    run, ``crs``, and the conversion from the CRS of the clouds. terrain: the heights in the CRS of the run, and their
+    file. weights: of Point2WSS; None: no such network. completion: whether another network may complete roofs of few
+    points. lines: roof lines, float64 (l, 2, 2), in the CRS of the run, and the name of their file; None without.
     """
 
     name: str
@@ -92,10 +92,10 @@ class Inputs:
     @property
     def footprints_name(self) -> Path:
         """The file of the footprints, for messages."""
-        return self.footprints if isinstance(self.footprints, Path) else _FOOTPRINTS
+        return Path(vector_files.file_of(self.footprints))
 
     def chunks(self, window: Bounds, classes: ClassSet) -> Iterator[Cloud]:
-        """The points in a window of the run, in its CRS, about half a million at a time."""
+        """The points in a window, about half a million at a time; points and window in the CRS of the run."""
         if self.points is not None:
             yield self.points.in_classes(classes).in_metres(self.metric)
             return
@@ -105,7 +105,7 @@ class Inputs:
             yield chunk.in_metres(self.metric)
 
     def overlap(self, window: Bounds) -> bool:
-        """Whether a cloud may have points in a window of the run."""
+        """Whether a cloud may have points in a window in the CRS of the run."""
         window = self.metric.window_of_clouds(window)
         return any(header.overlaps(window) for header in self.headers)
 
@@ -122,11 +122,12 @@ def check_inputs(
 ) -> Inputs:
     """The inputs of a run, cheap checks first.
 
-    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of Point2WSS, "point2wss" for
-    those of the package, "none" for no network at all, that of few points included. may_be_empty:
-    whether clouds and footprints may be without content, as in a tile. lines: of roofs, as a map knows them.
+    crs: of the clouds, as the user states it. terrain: a raster of heights. model: a file of weights of Point2WSS,
+    "point2wss" for the weights of the package, "none" for no network at all: roofs of few points are not completed
+    either. may_be_empty: whether clouds and footprints may be without content, as in a tile. lines: roof lines of a
+    map.
 
-    Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
+    Raises :class:`InputError`, in one line, for an input that cannot work. Logs a note for what is assumed.
     """
     weights = weights_to_use(None if model is None else Path(model))
     if weights is not None:
@@ -143,8 +144,7 @@ def check_inputs(
             raise InputError(f"{path}: no such file")
     headers, points = open_clouds(cloud)
     header = reading.common_header(headers) or headers[0]
-    of_footprints = footprints if isinstance(footprints, Path) else _FOOTPRINTS
-    names, footprints_crs = (str(header.path), "" if footprints is None else str(of_footprints)), None
+    names, footprints_crs = (str(header.path), vector_files.file_of(footprints)), None
     if footprints is None and header.crs is None and crs is None:
         raise InputError(f"{header.path} does not state its CRS; state it with --crs, such as EPSG:28992")
     if footprints is not None:
@@ -187,8 +187,8 @@ def _windows(
     settings: Reconstruct,
     terrain_crs: pyproj.CRS,
 ) -> list[Bounds]:
-    """Where heights of a terrain are needed, in its CRS: around the footprints, and around the clouds. crs: of the
-    footprints."""
+    """Windows in ``terrain_crs`` in which heights of the terrain are needed: around the footprints, and around the
+    clouds. crs: of the footprints."""
     to_run, to_terrain = (
         pyproj.Transformer.from_crs(horizontal(source), horizontal(target), always_xy=True)
         for source, target in ((crs, metric.crs), (metric.crs, terrain_crs))
@@ -203,7 +203,7 @@ def _windows(
     elif footprints is not None:
         bounds = footprints.total_bounds
     windows = [clouds] if bounds is None else [to_run.transform_bounds(*bounds), clouds]
-    # that of footprints of the world may be anywhere in a projection
+    # footprints all over the world have no finite window in a projection, or one far away
     windows = [each for each in windows if np.isfinite(each).all() and are_near(each, clouds, 0)]
     margin_m = settings.terrain_margin_m + _GROUND_M
     return [to_terrain.transform_bounds(*grown(each, margin_m)) for each in windows]
@@ -212,7 +212,8 @@ def _windows(
 def _metric(
     source: pyproj.CRS, headers: Sequence[CloudHeader], points: Cloud | None, unit: str
 ) -> tuple[MetricCrs, str | None]:
-    """The CRS of a run on these clouds in ``source``, which may state their heights apart, and a note if it differs."""
+    """The CRS of a run on clouds in ``source``, and a note if it differs. The headers may state a CRS of the heights
+    apart. unit: of the heights, as the user states it, or empty."""
     _check_heights(headers, unit)
     heights = next((each.heights for each in headers if each.heights is not None), None)
     if heights is not None:
@@ -222,8 +223,8 @@ def _metric(
 
 
 def _check_heights(headers: Sequence[CloudHeader], unit: str) -> None:
-    """Raise :class:`InputError` if files state heights in different units, of which ``unit``, that the user states, is
-    none; warn if they state different datums."""
+    """Raise :class:`InputError` if files state different units of heights, unless the user states a ``unit``. Warn if
+    files state different height datums."""
     stated = {each.heights: each.path for each in reversed(headers) if each.heights is not None}
     if not stated:
         return
@@ -240,8 +241,8 @@ def _check_heights(headers: Sequence[CloudHeader], unit: str) -> None:
 
 
 def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, crs: pyproj.CRS) -> None:
-    """Warn of coordinates that cannot be right in the CRS of the clouds, which ``known`` states: its own, and those of
-    each file that is far from it. Warn of files that state no CRS and are far."""
+    """Warn of coordinates that cannot be right in ``crs``, the CRS of the clouds: the coordinates of ``known``, which
+    states the CRS, and of each file that is far from it. Warn of far files that state no CRS."""
     unit_m = crs.axis_info[0].unit_conversion_factor * (_RADIAN_M if crs.is_geographic else 1.0)
     far = [
         each
@@ -270,8 +271,8 @@ def _check_places(headers: Sequence[CloudHeader], known: CloudHeader, crs: pypro
 def read_cloud(
     headers: Sequence[CloudHeader], points: Cloud | None, metric: MetricCrs | None, classes: ClassSet = LAS
 ) -> Cloud:
-    """All points, in the CRS of the run; None leaves them in that of the clouds. headers, points: as
-    :func:`open_clouds` returns them."""
+    """All points, in the CRS of the run. headers, points: as :func:`open_clouds` returns them. metric: None leaves the
+    points in the CRS of the clouds."""
     if points is None:
         chunks = reading.read_in_chunks([each.path for each in headers], None, classes)
         return reading.joined(chunks if metric is None else (each.in_metres(metric) for each in chunks))
@@ -288,11 +289,12 @@ def read_cloud_of(
     height_unit: str = "",
     classes: ClassSet = LAS,
 ) -> tuple[Cloud, MetricCrs | None]:
-    """(all points in metres in the CRS of buildings from a file, what converts these buildings into it).
+    """(all points of clouds, to compare with the buildings of a file, the conversion of the buildings to their CRS).
 
-    scene: the CRS of the buildings; None takes them to be in the CRS and the units that a run on the clouds has.
-    bounds: of the buildings. name: of their file. crs, height_unit: of the clouds, as the user states them. The
-    conversion is None where buildings remain as they are. Raises :class:`InputError` for clouds of another CRS.
+    Points are in metres; they stay in their units where neither clouds, user nor buildings state a CRS. The conversion
+    is None where the buildings need none. scene: the CRS of the buildings; None: they are taken to be in the CRS of a
+    run on the clouds. bounds: of the buildings. name: of their file. crs, height_unit: of the clouds, as the user
+    states them. Raises :class:`InputError` for clouds of another CRS than the buildings.
     """
     headers, points = open_clouds(clouds)
     header = reading.common_header(headers) or headers[0]
@@ -312,7 +314,7 @@ def read_cloud_of(
 
 
 def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features, bool]:
-    """(the whole cloud, the outlines of its buildings as footprints, whether class building is p2wss's own)."""
+    """(the whole cloud, the outlines of its buildings as footprints, whether only p2wss has given class building)."""
     # compiled code, which is slow to load
     from p2wss.reconstruction.points import unclassified
     from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns, with_plants
@@ -320,7 +322,9 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features, bool
     classes = class_set(**config.region.classes.model_dump())
     cloud = read_cloud(inputs.headers, inputs.points, inputs.metric, classes)
     is_classified = bool((cloud.classification == BUILDING_CLASS).any())
+    unknown = unclassified.warnings_of_unknown(np.bincount(cloud.classification, minlength=256))
     cloud, warnings = unclassified.with_classes(cloud)
+    warnings += unknown
     if is_classified:
         cloud, missed_m2 = unclassified.with_missed_buildings(cloud)
         if missed_m2:
@@ -335,7 +339,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, Features, bool
 
 
 def output_stem(cloud: Path) -> str:
-    """Name of the outputs: that of the folder, or of the cloud without its endings.
+    """The name of the outputs: the name of the folder, or of the cloud's file without its endings.
 
     >>> output_stem(Path("in/Semis_2021.copc.laz"))
     'Semis_2021'
@@ -349,17 +353,18 @@ def _name(cloud: CloudInput) -> str:
 
 
 def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path | gpd.GeoDataFrame:
-    """A file or a table of footprints, or of lines, as ``name`` says, of what a user gives; geometries alone are
-    numbered.
+    """The file or the table of footprints, or of roof lines, that a user gives. Bare geometries are numbered.
 
-    Raises :class:`InputError` for what is neither.
+    name: "footprints" or "lines". Raises :class:`InputError` for what is neither a path nor geometries.
     """
     if isinstance(footprints, str | Path):
         if name == "footprints" and Path(footprints).suffix.lower() in (".json", ".jsonl"):
             from p2wss.formats.cityjson_read import is_cityjson, plans
 
             if is_cityjson(footprints):
-                return plans(footprints)
+                table = plans(footprints)
+                table.attrs[vector_files.FILE] = str(footprints)
+                return table
         return Path(footprints)
     import geopandas as gpd
 
@@ -369,7 +374,7 @@ def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path 
             footprints = gpd.GeoSeries(alone).to_frame("geometry")
         footprints.geometry  # noqa: B018
         names = [each for each in footprints.index.names if each is not None and each not in footprints]
-        if names:  # such as those of set_index, which may be ids
+        if names:  # named levels of the index, such as ids after set_index
             footprints = footprints.reset_index(names)
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(
@@ -380,15 +385,15 @@ def as_footprints(footprints: FootprintInput, name: str = "footprints") -> Path 
 
 
 def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]:
-    """The headers of files, or that of points in memory and these; a warning says what is wrong with the CRS of
-    files."""
+    """(headers of the files, None), or for a cloud in memory ([its header], its points). A warning says what is wrong
+    with a stated CRS."""
     files = [cloud] if isinstance(cloud, str | Path) else cloud
     points: Cloud | None = None
     if isinstance(files, list | tuple) and files and all(isinstance(each, str | Path) for each in files):
         headers = reading.read_headers(reading.list_clouds([Path(path) for path in files]))
     else:
         points = _in_memory(cloud)
-        # an empty one states nothing
+        # an empty header states nothing
         stated = stated_crs(cloud.header if isinstance(cloud, laspy.LasData) else laspy.LasHeader())
         bounds = bounds_of_points(points.x_m, points.y_m)
         headers = [CloudHeader(_CLOUD, len(points), points.crs, bounds, stated.heights, stated.doubts)]
@@ -403,7 +408,7 @@ def _in_memory(cloud: CloudInput) -> Cloud:
     if isinstance(cloud, laspy.LasData):
         return reading.cloud_of(cloud)
     try:
-        # of a table with names, whatever their order, and whatever other columns there are
+        # a table's columns are taken by name, whatever their order, and whatever other columns there are
         table: Any = cloud
         named = {str(name).lower(): name for name in getattr(table, "columns", ())}
         if {"x", "y", "z"} <= named.keys():
@@ -449,11 +454,12 @@ def _numbers(column: Any, name: str) -> np.ndarray:
 def _check_footprints(
     footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool, layer: str
 ) -> pyproj.CRS | None:
-    """The CRS of the footprints, if it is stated. Raises :class:`InputError` if these cannot be footprints."""
+    """The CRS that the footprints state, or None. Raises :class:`InputError` if they have no polygons, lack one of the
+    ``columns``, or are empty unless ``may_be_empty``."""
+    name = vector_files.file_of(footprints)
     if isinstance(footprints, Path):
-        name, info = footprints, vector_files.layer_info(footprints, layer)
+        info = vector_files.layer_info(footprints, layer)
     else:
-        name = _FOOTPRINTS
         info = {
             "features": len(footprints),
             "geometry_type": " ".join(footprints.geom_type.dropna().unique()) or "Unknown",

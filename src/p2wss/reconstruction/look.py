@@ -1,4 +1,4 @@
-"""What a run would read and believe of clouds, footprints and terrain, before an hour of computing."""
+"""What a run would understand of clouds, footprints and terrain, told before an hour of computing."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal, vertical_part
 from p2wss.storage.log_lines import log
 
-# footprints whose points are read; those of plausibility.check are among as many
+# points of at most this many footprints are read; the checks of plausibility use the same footprints
 NUM_SAMPLED = 200
 
 
 def look(inputs: Inputs, config: Config) -> tuple[dict[str, Any], str]:
-    """(facts by name, numbers rounded, lengths in metres; why a run would be refused, or "").
+    """(facts by name, with rounded numbers and lengths in metres; why a run would be refused, or "").
 
-    The points of up to :data:`NUM_SAMPLED` footprints, spread over the file, are read, and no others of COPC files.
+    Only the points of up to :data:`NUM_SAMPLED` footprints, spread over the file, are used; of COPC files, no others
+    are read.
     """
     settings = config.reconstruct
     features = cleaned(read_features(inputs, settings), config)
@@ -97,7 +98,7 @@ def _footprints(inputs: Inputs, features: Features, layer: str) -> dict[str, Any
     if isinstance(inputs.footprints, Path):
         info = vector_files.layer_info(inputs.footprints, layer)
         facts |= {"layer": info["layer"], "other layers": info["other_layers"]}
-        # some formats state no number
+        # some formats do not state the number of features
         facts |= {"features": info["features"]} if info["features"] >= 0 else {}
         facts["crs"] = (
             None if info["crs"] is None else horizontal(pyproj.CRS.from_user_input(info["crs"])).name

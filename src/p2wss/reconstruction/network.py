@@ -1,4 +1,4 @@
-"""What networks say of buildings: heights and angles, and roofs between few points."""
+"""Buildings from networks: heights and angles that are predicted, and roofs that are supposed between few points."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Predictor(Protocol):
 
     @property
     def max_num_vertices(self) -> int:
-        """Largest number of vertices of an exterior ring."""
+        """The largest number of vertices of an exterior ring that the network takes."""
 
     @property
     def on_building(self) -> bool:
-        """Whether it was trained on clouds of the points on a building alone, too, and should get those."""
+        """Whether the network was also trained on clouds of only the points on a building, and should get only such."""
 
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
-        """The heights and angles of buildings with these points, each (n, 3) with z above the ground, and rings as in
+        """The heights and angles of buildings. points_m: for each building (n, 3), z above the ground. rings: as in
         :class:`Building`."""
 
 
@@ -67,8 +67,8 @@ def reconstruct_with_network(
 
 
 def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
-    """The buildings; those with few points per square metre with the roof that a network supposes between them
-    (:mod:`p2wss.nets.supposed`)."""
+    """The buildings, in which buildings with few points per square metre get ``supposed_m``: the roof that a network
+    supposes between the points (:mod:`p2wss.nets.supposed`)."""
     result = []
     for building in buildings:
         roof_m = building.point_m[building.is_on_building]
@@ -81,7 +81,7 @@ def with_supposed_roofs(buildings: Sequence[Building]) -> list[Building]:
 
 
 def _on_building_m(building: Building) -> np.ndarray:
-    """The points (n, 3) on the building, unless they show no roof. Plants, neighbours and what stands on the ground are
-    not as in the simulation that a network learnt from."""
+    """The points (n, 3) on the building; all points if these are too few to show a roof. Plants, neighbours and things
+    on the ground are left out because they look different in the simulation from which the network learnt."""
     on_m = building.point_m[building.is_on_building]
     return on_m if len(on_m) >= MIN_NUM_POINTS else building.point_m

@@ -39,17 +39,17 @@ from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
 
-# whether footprints are outlines of points that the producer did not classify as of buildings
+# column: whether a footprint is an outline of points to which p2wss, not the producer, gave class building
 OWN_OUTLINE = "p2wss_own_outline"
-# columns that are none of the input
+# columns that p2wss adds to the columns of the input
 _ADDED_COLUMNS = (*ADDED_COLUMNS, LINES, OWN_OUTLINE)
-# number of buildings that a network reconstructs together, as that is faster
+# a network reconstructs this many buildings together, which is faster
 _NETWORK_BATCH = 256
-# points on the roofs around a building with few: enough to show planes
+# at most this many points on the roofs around a building are kept: enough to show planes
 _MAX_AROUND = 200
-# whose ground is that of a building without points
+# a building without points gets the ground of this many nearest buildings
 _NUM_NEIGHBOURS = 5
-# of so many rows, the smallest shows a process the compiled code
+# this process loads the compiled code with the smallest one of this many rows
 _NUM_TO_LEARN = 8
 
 
@@ -65,10 +65,11 @@ def run(
 ) -> list[Result]:
     """One result per feature, in their order.
 
-    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns. predictor: whose values buildings get, or
-    None, with which they are fitted to the points. progress: called from time to
-    time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
-    that their footprint states; else it is that of the neighbourhood. registrations: of each row, what moved it.
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns. predictor: the network that predicts the
+    buildings; with None, they are fitted to the points. progress: called from time to time with the number of rows that
+    are done. terrain: the ground of buildings without points, which are built if their footprint states a height, and
+    of buildings around which the ground is unseen or too high; without it, buildings without points get the ground of
+    the nearest buildings. registrations: what moved the footprint of each row.
     """
     results: dict[int, Any] = {}
     rows = Rows(len(features), results, predictor, tile, config, terrain)
@@ -83,8 +84,8 @@ _Done = tuple[int, Result, float]
 
 @dataclass(frozen=True)
 class Part:
-    """Some rows of a run. rows: with their points. bare: the same without. pending: others, without points, whose
-    ground is that of buildings elsewhere."""
+    """Some rows of a run. rows: with their points. bare: the same rows without points. pending: further rows that have
+    neither points nor terrain, and get the ground of the nearest buildings of the run."""
 
     rows: Sequence[Row]
     bare: Sequence[Row]
@@ -92,16 +93,17 @@ class Part:
 
 
 class Rows:
-    """The rows of a run, reconstructed part by part, and at the end what depends on several parts. With several
-    processes, the others begin with a part while this one prepares the next.
+    """The rows of a run, reconstructed part by part. What depends on several parts is computed at the end. With several
+    processes, forks reconstruct a part while this process prepares the next part.
 
-    num_rows: of the run. results: where they are stored; with ``config.max_triangles`` it has so many places again, for
-    rows that may be reconstructed once more. num_processes: that fit, forks of this one, which a building may kill;
-    with none, or with a network, whose threads a fork would lack, this one does. folder: of temporary files. The other
-    arguments are those of :func:`run`.
+    num_rows: number of rows of the run. results: where the results are stored, by number of row; with
+    ``config.max_triangles`` it needs ``2 * num_rows`` places, for rows that may be reconstructed once more.
+    num_processes: how many processes fit; a fork may crash at a building without ending the run. With 0, or with a
+    network, whose threads a fork would lack, this process does all. folder: for temporary files. Other arguments: see
+    :func:`run`.
 
     Where errors are met (:mod:`p2wss.reconstruction.running.failures`), a building at which the code fails has the
-    reason ``internal-error``, and a flat roof if that can be had.
+    reason ``internal-error``, and a flat roof if one can be built.
     """
 
     def __init__(
@@ -120,17 +122,17 @@ class Rows:
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
         self._batch = 1 if predictor is None else _NETWORK_BATCH
-        # what computes now, how many are done, and who is told
+        # the part that is computed now, the number of rows that are done, and what is called with that number
         self._current: Iterable[tuple[int, list[_Done]]] = ()
         self._num_done = 0
         self._progress: Callable[[int], object] = lambda num_done: None
-        # what computed before, and whether this process has done one of it
+        # the part that was computed before, and whether this process has repeated a row of a part
         self._before: Sequence[Row] = ()
         self._has_learnt = False
         self._origin_xy_m = np.full((num_rows, 2), np.nan)
-        # of buildings with points
+        # NaN of buildings without points
         self._ground_z_m = np.full(num_rows, np.nan)
-        # buildings without points whose ground is that of others
+        # buildings that get the ground of the nearest buildings
         self._pending: list[Row] = []
 
     def bare(
@@ -139,7 +141,7 @@ class Rows:
         features: Features,
         registrations: Sequence[Registration | None] | None = None,
     ) -> Lazy[int, Row]:
-        """Rows without points. numbers: of each in the results."""
+        """The features as rows without points. numbers: the number of each row in the results."""
         polygons = polygon_arrays.to_polygons(features.geometry)
         origin_xy_m, columns = polygon_arrays.origins(polygons), input_columns(features)
         names, status = features["building_id"].tolist(), features["status"].tolist()
@@ -150,7 +152,7 @@ class Rows:
 
         def row(i: int) -> Row:
             registration = None if registrations is None else registrations[i]
-            # lines are where the footprint was
+            # lines have not moved with the footprint
             before_m = origin_xy_m[i] - (np.zeros(2) if registration is None else registration.shift_m)
             building = Building(
                 names[i],
@@ -176,8 +178,8 @@ class Rows:
         cloud: Cloud,
         registrations: Sequence[Registration | None] | None = None,
     ) -> Part:
-        """The rows of features. numbers: of each in the results. cloud: all points within 64 m of them. registrations:
-        of each, what moved it."""
+        """The features as rows with points. numbers: the number of each row in the results. cloud: all points within
+        64 m of the features. registrations: what moved each footprint."""
         polygons = polygon_arrays.to_polygons(features.geometry)
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
         around = roofs_around(cloud, polygons, cropped)
@@ -214,8 +216,8 @@ class Rows:
         return Part(Lazy(row, others), Lazy(bare.__getitem__, others), pending)
 
     def start(self, part: Part, progress: Callable[[int], object] = lambda num_done: None) -> None:
-        """Reconstruct the rows of a part, with several processes until the next call, or the end. progress: called with
-        the number of all rows that are done."""
+        """Reconstruct the rows of a part. With several processes, it goes on until the next call of this method or of
+        :meth:`finish`. progress: called with the number of rows that are done in all parts."""
         self._pending += part.pending
         self._progress = progress
         self._start(part.rows, part.bare)
@@ -223,8 +225,9 @@ class Rows:
             self._complete()
 
     def finish(self, num_counted: int | None = None) -> None:
-        """Reconstruct the buildings whose ground is the median of the nearest ones with points, save triangles, and
-        measure party walls. num_counted: of the rows, those whose triangles are limited; None for all."""
+        """Complete the results. Pending buildings are reconstructed on the median ground of the nearest buildings with
+        points. Then triangles are saved, and party walls measured. num_counted: ``config.max_triangles`` limits the
+        triangles of this many first rows; None for all rows."""
         self._complete()
         known = np.flatnonzero(np.isfinite(self._ground_z_m))
         if len(known) and self._pending:
@@ -251,8 +254,8 @@ class Rows:
             self._results[number] = replace(self._results[number], party_wall_area_m2=float(area_m2[number]))
 
     def _save_triangles(self, max_triangles: int, num_counted: int) -> None:
-        """Replace results by those of low detail, in the order of the volume between points and mesh that is lost per
-        triangle, until there are few enough triangles."""
+        """Replace results by results at low detail until there are few enough triangles. First come the buildings that
+        lose least by it: the growth of the residual, times the ground area, per saved triangle."""
         excess = (
             sum(self._results[k].reconstruction.num_triangles for k in range(num_counted)) - max_triangles
         )
@@ -282,7 +285,7 @@ class Rows:
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
     def _start(self, rows: Sequence[Row], bare: Sequence[Row]) -> None:
-        """Complete what computes now, then let the other processes begin with these rows."""
+        """Complete the part that is computed now, then let the forks begin with these rows."""
         self._complete()
         self._learn(rows)
         if self._config.max_triangles is not None:
@@ -291,8 +294,8 @@ class Rows:
         self._current = self._shared(rows, bare, self._config)
 
     def _learn(self, rows: Sequence[Row]) -> None:
-        """Have the compiled code that forks need in this process, too, as loading it takes as long as six buildings:
-        repeat a small one of the rows before these, in which no fork has failed."""
+        """Load the compiled code into this process, so that forks have it: loading takes as long as six buildings. To
+        load it, reconstruct a small row of the part before once more, one at which no fork has failed."""
         before, self._before = self._before, rows
         if not (self._num_processes and len(before) and len(rows)) or self._has_learnt:
             return
@@ -302,7 +305,7 @@ class Rows:
             self._has_learnt = True
 
     def _complete(self) -> None:
-        """Do the rest of what was started, and store all results."""
+        """Complete the part that was started, and store its results."""
         for _, results in self._current:
             for number, result, seconds in results:
                 self._results[number] = result
@@ -317,8 +320,8 @@ class Rows:
     def _shared(
         self, rows: Sequence[Row], bare: Sequence[Row], config: Reconstruct
     ) -> Shared[int, list[_Done]]:
-        """What is done of these rows, in parts: without a network of one row each, so that the log has the
-        time of each. bare: the same without points, which is all that is used of a row that kills each process."""
+        """The results of these rows, in batches. Without a network, each row is a batch, so that the log has its time.
+        bare: the same rows without points, used for a row that kills every process that tries it."""
 
         def part(rows: Sequence[Row], first: int) -> list[Row]:
             return list(rows[first : first + self._batch])
@@ -349,8 +352,8 @@ class Rows:
         return [(row.number, result, seconds) for row, result in zip(rows, results, strict=True)]
 
     def _together(self, rows: Sequence[Row], config: Reconstruct) -> list[Result]:
-        """The results of these rows, from the points that are their own. One whose footprint has another status than
-        "ok" gets no mesh."""
+        """The results of these rows. Points of neighbours get another class first. A row with another status than "ok"
+        gets no mesh."""
         rows = [replace(row, building=with_own_classes(row.building)) for row in rows]
         usable = [row for row in rows if row.status == "ok"]
         done = reconstruct_buildings([row.building for row in usable], self._predictor, config)
@@ -360,12 +363,12 @@ class Rows:
         for row in rows:
             rejected = no_mesh(row.building, method, row.status)
             results.append(result_of(row, reconstructions.get(row.number, rejected), config))
-            # where these fail, it should be here, and not where all are written
+            # an error in the attributes should be met here, for one building, and not where all are written
             attributes(results[-1], names=config.attribute_names)
         return results
 
     def _failed(self, row: Row, trace: str, config: Reconstruct) -> Result:
-        """The result of a row at which the code failed: a flat roof if that can be had."""
+        """The result of a row at which the code failed: a flat roof if one can be built."""
         method, row = method_name(self._predictor), replace(row, failure=trace)
 
         def flat(row: Row) -> Result:
@@ -379,9 +382,9 @@ class Rows:
 
 
 def input_columns(features: Features) -> list[dict[str, Any]]:
-    """The values of the input's own columns, one dictionary per row, None where there is no value.
+    """The values of the input's columns, one dictionary per row, None where there is no value.
 
-    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds are left out.
+    features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; columns that p2wss adds are left out.
     """
     taken = {*features.columns, COLUMN} - {*_ADDED_COLUMNS}
 
@@ -418,13 +421,13 @@ def _dates(cloud: Cloud, point: np.ndarray) -> tuple[date, date] | None:
 
 
 def _local(cloud: Cloud, point: np.ndarray, position_m: Sequence[float]) -> np.ndarray:
-    """The points (k,) of a cloud relative to a position: (k, 3)."""
+    """float64 (k, 3): coordinates relative to ``position_m`` (x, y, z). point: (k,), indices into the cloud."""
     xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
     return on_millimetres(xyz_m, np.array(position_m[:2])) - [0.0, 0.0, position_m[2]]
 
 
 def _in_order(cloud: Cloud, point: np.ndarray) -> np.ndarray:
-    """The indices sorted by the coordinates of their points, so that a building's points have the same order whatever
-    else is in the cloud."""
+    """The indices ``point``, sorted by y, x, z and class. So a building's points have the same order whatever else is
+    in the cloud."""
     keys = (cloud.classification, cloud.z_m, cloud.x_m, cloud.y_m)
     return point[np.lexsort([values[point] for values in keys])]

@@ -18,9 +18,9 @@ from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruction.flat import with_fallback
 from p2wss.reconstruction.network import Predictor, reconstruct_with_network, with_supposed_roofs
 
-# multiples of the prices of roofs that replace an invalid one
+# factors on the prices, for simpler roofs that replace an invalid one
 _PRICES = (2.0, 4.0, 8.0)
-# of a row: simpler reconstructions, the best first, made as they are asked for
+# for a row: an iterator of simpler reconstructions, the best first, which computes each when it is needed
 Simpler = Callable[[int], Iterator[Reconstruction]]
 # names of the methods, in files and reports
 NETWORK, FIT, COMPLETION_AND_FIT = "point2wss", fitting.METHOD, f"completion+{fitting.METHOD}"
@@ -31,14 +31,14 @@ def with_valid_solids(
     buildings: Sequence[Building],
     simpler: Simpler = lambda row: iter(()),
 ) -> list[Reconstruction]:
-    """The reconstructions, all of whose meshes are valid solids once they are stored in a file.
+    """The reconstructions, with only meshes that are valid solids when stored in a file.
 
-    A solid that violates a rule is replaced by the first valid one of ``simpler``; otherwise the building has no mesh,
-    for the reason ``invalid-solid``.
+    A solid that breaks a rule is replaced by the first valid reconstruction of ``simpler``. If there is none, the
+    building gets no mesh, for the reason ``invalid-solid``.
     """
     result = list(reconstructions)
     for row, reconstruction in enumerate(reconstructions):
-        # those with surfaces are known to be valid
+        # reconstructions with surfaces have been found valid
         if reconstruction.mesh is not None and not reconstruction.surfaces:
             valid = filter(None, map(_as_valid_solid, chain([reconstruction], simpler(row))))
             result[row] = next(valid, None) or no_mesh(
@@ -48,7 +48,7 @@ def with_valid_solids(
 
 
 def simpler_fits(building: Building, config: Reconstruct) -> Iterator[Reconstruction]:
-    """Fits with fewer details than an invalid one: with fewer and fewer faces, at last the parametric building."""
+    """Simpler fits in place of an invalid one: with fewer and fewer faces, and at last the parametric building."""
     for factor in _PRICES:
         fewer = replace(THRESHOLDS, planes=THRESHOLDS.planes.times(factor))
         yield from fitting.fit([building], config, fewer)
@@ -56,7 +56,7 @@ def simpler_fits(building: Building, config: Reconstruct) -> Iterator[Reconstruc
 
 
 def _as_valid_solid(reconstruction: Reconstruction) -> Reconstruction | None:
-    """The reconstruction with its surfaces if its solid follows the rules, or None."""
+    """The reconstruction with its surfaces, if its solid is valid; else None."""
     if reconstruction.mesh is None:
         return None
     surfaces, broken = surfaces_to_write(reconstruction.mesh, reconstruction.position_m)
@@ -68,11 +68,10 @@ def reconstruct_buildings(
 ) -> list[Reconstruction]:
     """The product: one reconstruction per building, in order.
 
-    With a predictor, each is the paper's building with the network's height and angles. Without one they are fitted to
-    the points; with ``config.completion``, a network supposes what roofs of planes are like between few points, and
-    they are fitted to that, too. Where these give no mesh, the result is a flat roof of the method ``lod1`` whose
-    status has the reason (:func:`p2wss.reconstruction.flat.with_fallback`). All meshes are valid solids
-    (:mod:`p2wss.reconstruction.product`).
+    With a predictor, a building is the paper's building with the network's height and angles. Without a predictor, it
+    is fitted to the points. With ``config.completion``, a network supposes the roof between few points, and roofs of
+    planes are fitted to the supposed roof, too. Where this gives no mesh, the result is a flat roof of the method
+    ``lod1``, with the reason as status (:func:`p2wss.reconstruction.flat.with_fallback`). All meshes are valid solids.
     """
     if predictor is not None:
         predicted = reconstruct_with_network(buildings, predictor, config)
@@ -91,10 +90,11 @@ def reconstruct_buildings(
 def flat_roofs(
     reconstructions: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
 ) -> list[Reconstruction]:
-    """The same with valid solids with flat roofs for buildings without a mesh, or the reasons for none."""
+    """The reconstructions, with flat roofs for buildings without a mesh. All meshes are valid solids; where a flat roof
+    is not possible either, the status has the reason."""
     return with_valid_solids(with_fallback(reconstructions, buildings, config), buildings)
 
 
 def method_name(predictor: Predictor | None) -> str:
-    """``point2wss`` or ``fit``."""
+    """The method without completion and fallback: :data:`FIT` without a predictor, else :data:`NETWORK`."""
     return FIT if predictor is None else NETWORK

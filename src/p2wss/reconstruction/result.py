@@ -1,4 +1,4 @@
-"""A building of the output, and what its points say of its mesh."""
+"""A building of the output, and how well its mesh fits its points."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 STATUSES = ("ok", "flat", "none")
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
-# that are kept for the page of the run
+# at most this many points of a building are kept for the page of the run
 _MAX_SAMPLE_POINTS = 256
-# of the share of points near the mesh, and its least value where an outline is of no trees: of 151 outlines of four
-# clouds without classes, 33 have less, one of which lies on a footprint of a map
+# a point this near to the mesh counts as near; an outline with a smaller share of near points is of trees. Of 151
+# outlines of four clouds without classes, 33 have less, and one of these 33 lies on a footprint of a map
 _NEAR_M, _MIN_NEAR_SHARE = 0.2, 0.8
 
 
@@ -38,9 +38,9 @@ _NEAR_M, _MIN_NEAR_SHARE = 0.2, 0.8
 class Row:
     """A row of the input: a footprint with its points.
 
-    number: of the row in the results. status: of the footprint, "ok" or why it cannot be used. columns, registration,
-    dates, ground, failure: as in :class:`Result`. is_own_outline: whether the footprint is an outline of points that
-    p2wss itself took for those of buildings.
+    number: index of the row in the results. status: of the footprint, "ok" or why it cannot be used. columns,
+    registration, dates, ground, failure: as in :class:`Result`. is_own_outline: whether the footprint is an outline of
+    points to which p2wss itself gave class building.
     """
 
     number: int
@@ -64,21 +64,21 @@ class Result:
     not_representable: the building was fitted, but the residual is more than ``not_representable_m``.
     columns: values of the footprint's input columns by their names, None where there is no value.
     registration: how the footprint was moved, None without a registration.
-    rmse_m, share_within_20cm: of the same distances as the residual.
-    is_reliable: a reconstruction that the points support.
+    rmse_m, share_within_20cm: root mean square, and share up to 20 cm, of the distances of the residual.
+    is_reliable: the points support the reconstruction: status ``ok``, a small residual, and half of the footprint seen.
     dates: the first and the last day of its points; None if unknown.
-    overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the length of those where points
-    show it, negative where they end within; NaN where none shows it.
+    overhang_m: how far roofs reach beyond the edges of the footprint, negative where they end inside: the mean over the
+    length of the edges at which points show it; NaN if they show it at none.
     measures: of the mesh; None without one.
-    unseen_roof_area_m2: of the roof of the mesh, in plan, in 1 m cells without a point; NaN without a mesh.
-    party_wall_area_m2: of the walls that stand against other buildings of the run.
-    ground: where the height of the ground is from, and its standard deviation
+    unseen_roof_area_m2: area in plan of the roof of the mesh in 1 m cells without a point; NaN without a mesh.
+    party_wall_area_m2: area of the walls that stand against other buildings of the run; NaN if unknown.
+    ground: source of the height of the ground, and its standard deviation
     (:mod:`p2wss.reconstruction.points.ground`); None where it is unknown.
-    sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
-    failure: of a building with the reason ``internal-error``, the traceback.
-    num_lines: of the lines that a map knows of its roof, how many there are; None in a run without.
-    is_like_trees: fitted to an outline of points that p2wss itself took for those of buildings, of which too many are
-    far from the mesh, as those of crowns.
+    sample_m: float32 (n, 4), some of the points on the building, in the frame of its mesh, and their distances to it.
+    failure: the traceback of a building with the reason ``internal-error``, else empty.
+    num_lines: number of lines of its roof on a map; None in a run without such lines.
+    is_like_trees: the footprint is an outline of points to which p2wss itself gave class building, and too many of
+    these points are far from the fitted mesh, as in crowns of trees.
     """
 
     reconstruction: Reconstruction
@@ -106,13 +106,13 @@ class Result:
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """What contradicts the footprint, of :data:`p2wss.data.reasons.FLAGS`."""
+        """What contradicts the footprint: names of :data:`p2wss.data.reasons.FLAGS`."""
         of_trees = (reasons.LIKE_TREES,) if self.is_like_trees else ()
         return of_trees if self.registration is None else self.registration.flags + of_trees
 
 
 def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> Result:
-    """The result of a row of the input, for which there is this reconstruction."""
+    """The result of a row of the input with this reconstruction: how well the points fit, and measures of the mesh."""
     building = row.building
     reason = None if reconstruction.status == "ok" else reconstruction.status
     status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
@@ -121,7 +121,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     on_building = building.is_on_building if building.rings else np.zeros(len(building.point_m), bool)
     point_m = building.point_m[on_building]
     point_m = point_m[:: stride(len(point_m), _MAX_RESIDUAL_POINTS)]
-    # of a building without a mesh the distances are 0
+    # without a mesh, distances are 0
     distance_m, mesh = np.zeros(len(point_m)), reconstruction.mesh
     residual_m = rmse_m = share_within_20cm = float("nan")
     if mesh is not None and len(point_m):
@@ -132,7 +132,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     is_far = residual_m > config.not_representable_m
     visible_share = overhang_m = unseen_m2 = float("nan")
     if building.rings:
-        # of points in whole centimetres, as those of crops
+        # points in whole centimetres, as in crops
         x_m, y_m = np.round(building.point_m[on_building, :2], 2).T
         visible_share = seen_share(building.polygon, x_m, y_m)
         if mesh is not None:
@@ -168,7 +168,8 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
 
 
 def failed(row: Row, method: str) -> Result:
-    """The result of a row where even a flat roof, or what is measured of it, has failed: what needs no computation."""
+    """The result of a row at which even the flat roof, or a measure of it, has failed: without a mesh, computing
+    nothing."""
     reason, unknown = reasons.INTERNAL_ERROR, float("nan")
     return Result(
         no_mesh(row.building, method, reason),

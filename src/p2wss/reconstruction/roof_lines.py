@@ -1,4 +1,4 @@
-"""Lines of roofs that a map knows, such as ridges and valleys: read, and given to the footprints in which they lie."""
+"""Lines of roofs on a map, such as ridges and valleys: they are read, and cut to the footprints in which they lie."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 # column of features: the lines of each footprint, float64 (l, 2, 2)
 LINES = "p2wss_lines"
-# metres: vertices that bend a line by less divide it in none
+# metres: a vertex nearer than this to the straight line does not divide it into pieces
 _STRAIGHT_M = 0.05
 
 
 def read_lines(lines: Path | gpd.GeoDataFrame, metric: MetricCrs) -> np.ndarray:
-    """The straight pieces of the lines of a file or a table, in the CRS of a run, by their ends: (l, 2, 2). Heights are
-    left out.
+    """float64 (l, 2, 2): the ends of the straight pieces of the lines of a file or a table, in the CRS of a run and
+    without heights.
 
     Raises :class:`InputError` if the file is missing or broken, or has no lines.
     """
     name = str(lines) if isinstance(lines, Path) else "lines"
     features = read_vector(lines, of="lines")[0] if isinstance(lines, Path) else Features.of(lines)
-    # of collections, too, whose parts may have parts
+    # twice, as parts of collections may have parts
     parts = shapely.get_parts(shapely.get_parts(shapely.force_2d(features.geometry)))
     parts = parts[shapely.get_type_id(parts) == shapely.GeometryType.LINESTRING]
     if not len(parts):
@@ -45,8 +45,8 @@ def read_lines(lines: Path | gpd.GeoDataFrame, metric: MetricCrs) -> np.ndarray:
 def with_lines(
     features: Features, end_m: np.ndarray, inside_m: float = 0.2, least_m: float = 0.5
 ) -> Features:
-    """The footprints with the column :data:`LINES`: of lines (l, 2, 2), the pieces that lie in each, by ``inside_m``
-    and with a length of ``least_m`` or more."""
+    """The footprints with the column :data:`LINES`: the pieces of lines that lie in each footprint, at least
+    ``inside_m`` from its edges, and at least ``least_m`` long. end_m: float64 (l, 2, 2), the ends of the lines."""
     lines, inner = np.asarray(shapely.linestrings(end_m)), shapely.buffer(features.geometry, -inside_m)
     row, line = shapely.STRtree(lines).query(inner, predicate="intersects")
     order = np.lexsort((line, row))

@@ -1,7 +1,7 @@
 """A scene: the buildings of a run or of a CityJSON file, to be looked at, measured and written.
 
-The results of a run stay in temporary files until the scene is closed or forgotten: a scene of a large area needs no
-more memory than its points of one batch.
+The results of a run stay in temporary files until the scene is closed or garbage-collected. So a scene of a large area
+needs no more memory than the points of one batch.
 """
 
 from __future__ import annotations
@@ -9,9 +9,8 @@ from __future__ import annotations
 import html
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,48 +21,28 @@ import pyproj
 import shapely
 
 from p2wss.clouds.crops import crop_cloud
-from p2wss.config import CLASSES_ALONE, OUTPUT_SUFFIXES, Config, DeviceName, load, section_json
-from p2wss.data import polygon_arrays, reasons
+from p2wss.config import OUTPUT_SUFFIXES, Config, load
+from p2wss.data import polygon_arrays
 from p2wss.data.crs import MetricCrs, metric_crs
-from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, bounds_of_points, grown
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import VEGETATION, Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
-from p2wss.nets.threads import set_num_threads
-from p2wss.reconstruction.area import (
-    MARGIN_M,
-    Area,
-    chosen,
-    cleaned,
-    in_tile,
-    read_features,
-    run_area,
-    window,
-)
-from p2wss.reconstruction.compiled import compile_once
-from p2wss.reconstruction.inputs import Inputs, read_outlines
+from p2wss.reconstruction.area import MARGIN_M
+from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs import exports, page, picture, vegetation
 from p2wss.reconstruction.outputs.attributes import attributes, table
-from p2wss.reconstruction.pipeline import OWN_OUTLINE, Rows
-from p2wss.reconstruction.points import ground, plausibility, unclassified
 from p2wss.reconstruction.points.cloud_index import CloudIndex
-from p2wss.reconstruction.registration import register as registration
 from p2wss.reconstruction.result import STATUSES, Result, summary
-from p2wss.reconstruction.roof_lines import with_lines
 from p2wss.reconstruction.running.failures import Failures
-from p2wss.reconstruction.running.spool import Spool
 from p2wss.reconstruction.skin import block_skins
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
 from p2wss.storage.arguments import checked, public
 from p2wss.storage.errors import InputError
-from p2wss.storage.features import Features
 from p2wss.storage.log_lines import log
-from p2wss.storage.progress import Progress
-from p2wss.storage.provenance import fingerprint
 from p2wss.storage.temporary import Closeable
 
 if TYPE_CHECKING:
@@ -71,7 +50,6 @@ if TYPE_CHECKING:
     import trimesh
 
     from p2wss.reconstruction.explain import Explanation
-    from p2wss.reconstruction.network import Predictor
 
 
 @dataclass(frozen=True)
@@ -104,15 +82,15 @@ class SceneBuilding:
     ----------
     building_id : str
     status : {"ok", "flat", "none"}
-        ``flat`` is a flat roof instead, and ``none`` no mesh, for ``reason``.
+        ``flat``: a flat roof instead of a fitted one, ``none``: no mesh; ``reason`` says why.
     reason : str or None
     attributes : mapping
         As in the files, see docs/manual/attributes.md.
     footprint : Polygon or None
-        On which the mesh stands, in the CRS of the scene: moved by the registration, with walls where the fit has put
-        them. None if the file has none.
+        The footprint of the mesh, in the CRS of the scene: moved by the registration, with walls where the fit has put
+        them. None if there is no footprint.
     solid : Mesh or None
-        In the CRS of the scene; None without one.
+        The closed mesh in the CRS of the scene; None without a mesh.
     """
 
     building_id: str
@@ -153,11 +131,11 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     Attributes
     ----------
     crs : CRS or None
-        Of all coordinates; None for a file that states none.
+        The CRS of all coordinates; None for a file that states no CRS.
     config : Config
     name : str
     plants : mapping of Mesh
-        Closed volumes, of ``--vegetation``, by their ids.
+        The closed volumes that ``--vegetation`` adds, by their ids.
     """
 
     def __init__(
@@ -187,17 +165,18 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return f"<Scene {self.name}: {len(self)} buildings, {'unknown CRS' if self.crs is None else self.crs.name}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy, or a scene of another process, has the buildings, but not the run with its points."""
+        """A copied or unpickled scene has the buildings, but not the run with its points."""
         building = list(self.values()).__getitem__
         return Scene, (list(self), building, self.crs, self.config, self.name, None, self.plants)
 
     @property
     def bounds(self) -> Bounds | None:
-        """x_min, y_min, x_max and y_max of all meshes, in the CRS of the scene; None without any."""
+        """x_min, y_min, x_max and y_max of all meshes, in the CRS of the scene; None without a mesh."""
         return bounds_of([each.solid for each in self.values() if each.solid is not None])
 
     def converted(self, metric: MetricCrs) -> Scene:
-        """The scene of a file in ``metric.source`` with its meshes in ``metric.crs``, without footprints."""
+        """The scene with its meshes in ``metric.crs``, without footprints. The scene is of a file, in the CRS
+        ``metric.source``."""
 
         def building(number: int) -> SceneBuilding:
             each = self._building(number)
@@ -208,8 +187,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         return Scene(list(self), building, metric.crs, self.config, self.name, plants=plants)
 
     def in_metres(self) -> Scene:
-        """The scene of a file, in the CRS that a run on clouds in its CRS has: files of meshes and surveys are in
-        metres."""
+        """The scene in a CRS in metres, as mesh files and surveys need it: the CRS of a run on clouds in the CRS of the
+        scene. The scene is of a file."""
         if self.crs is None or self.bounds is None:
             return self
         metric, _ = metric_crs(self.crs, self.bounds, self.name)
@@ -235,7 +214,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
     @property
     def table(self) -> gpd.GeoDataFrame:
-        """A row per building, by its id: footprint and attributes."""
+        """The footprint and the attributes of each building, indexed by ``building_id``."""
         if self._run is not None:
             names = self.config.reconstruct.attribute_names
             features = table(self._run.kept, self._run.inputs.crs, self._run.facts, names)
@@ -268,7 +247,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
         number = np.array([self._number[building_id]])
         results = [self._run.results[number[0]]]
-        (footprint,) = _as_registered(self._run.footprints[number], np.zeros(1, int), results)
+        (footprint,) = as_registered(self._run.footprints[number], np.zeros(1, int), results)
         if footprint.is_empty:
             return np.zeros((0, 3))
         cloud = self._run.points.near(np.array([grown(footprint.bounds, MARGIN_M)]))
@@ -282,8 +261,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Parameters
         ----------
         skin : bool
-            Whether those of touching buildings become one closed mesh without the walls between them, under the id of
-            the first building.
+            Whether the meshes of touching buildings become one closed mesh without the walls between them, under the
+            id of the first building.
 
         Returns
         -------
@@ -307,10 +286,10 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         ----------
         folder : path
         formats : sequence of str, optional
-            From ``reconstruct.outputs`` of the config, which is the default. Of a scene that was read from a file, and
-            of a copy, only mesh formats, without terrain.
+            The default is ``reconstruct.outputs`` of the config. A scene that was read from a file, and a copy, can
+            only be written in mesh formats, without terrain.
         name : str, optional
-            Of the files, without ending.
+            The name of the files without ending; by default the name of the scene.
 
         Returns
         -------
@@ -319,7 +298,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Raises
         ------
         InputError
-            If a file cannot be written, none would be, or the folder is not there and is named as a file.
+            If a file cannot be written, if no file would be, or if the folder does not exist and its name has the
+            ending of a file.
         """
         settings = self.config.reconstruct
         if formats is not None:
@@ -328,7 +308,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         folder, name = Path(folder), name or self.name
         files.check_stem(name)
         files.check_folder(folder, OUTPUT_SUFFIXES.values())
-        if settings.writes_parquet:  # or no file is
+        if settings.writes_parquet:  # an error after other files would be too late
             import pyarrow.parquet  # noqa: F401
         if self._run is not None:
             run = self._run
@@ -364,7 +344,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     def to_html(self) -> str:
         """The page of the scene: buildings in 3D and in a table, which needs no other file and no internet."""
         if self._run is None:
-            # the page has names of its own, such as points and ground
+            # the page itself uses names such as points and ground, which a scene may have, too
             return page.page_of_scenes(self.name, {f"Meshes of {self.name}": self}, None)
         inputs = self._run.inputs
         terrain = inputs.terrain and inputs.terrain[0]
@@ -374,7 +354,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         )
 
     def _repr_html_(self) -> str:
-        """That page in a cell of a notebook."""
+        """The page of :meth:`to_html`, for a cell of a notebook."""
         return f'<iframe srcdoc="{html.escape(self.to_html())}" style="width:100%;height:46rem;border:0"></iframe>'
 
     def show(self) -> Path | None:
@@ -383,13 +363,13 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Returns
         -------
         Path or None
-            Of the temporary file that the browser shows.
+            The temporary file that the browser shows; None in a notebook.
         """
         ipython = sys.modules.get("IPython")
         if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
             ipython.display.display(self)
             return None
-        # four milliseconds of each start
+        # importing it takes four milliseconds
         import webbrowser
 
         path = Path(tempfile.mkdtemp(prefix="p2wss-")) / "scene.html"
@@ -399,16 +379,16 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
     @public
     def plot(self, view: str = "oblique", *, ids: Sequence[str] | None = None, axes: Any = None) -> Any:
-        """A picture by matplotlib (the extra ``report``): the axes, on which more can be drawn.
+        """Draw the scene with matplotlib (the extra ``report``), and return the axes, on which more can be drawn.
 
         Parameters
         ----------
         view : {"oblique", "plan"}
             A plan is in the CRS of the scene, with footprints without a mesh in outline.
         ids : sequence of str, optional
-            Of the buildings to draw; by default all.
+            The ids of the buildings to draw; by default all.
         axes : optional
-            To draw on; by default new ones.
+            The axes to draw on; by default new ones.
 
         Returns
         -------
@@ -419,14 +399,14 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
     @public
     def explore(self, column: str | None = "status", **options: Any) -> Any:
-        """The footprints on a map of the web, with their attributes (the extra ``map``).
+        """The footprints and their attributes on a web map (the extra ``map``).
 
         Parameters
         ----------
         column : str or None
             The attribute of :attr:`table` that colours them, None for one colour.
         **options
-            Of ``geopandas.GeoDataFrame.explore``.
+            Options of ``geopandas.GeoDataFrame.explore``.
 
         Returns
         -------
@@ -435,7 +415,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         Raises
         ------
         InputError
-            For an attribute that no building has.
+            If no building has the attribute ``column``.
         """
         import folium  # noqa: F401 (an ImportError of geopandas would not tell the extra)
 
@@ -467,7 +447,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         if self._run is None:
             raise InputError(f"{self.name}: has no points: it is a copy, or was read from a file")
         result = explain.explain(self._run.inputs, self.config, building_id)
-        # its ground may be that of others, which are not reconstructed once more
+        # its ground may be the ground of the nearest buildings, which are not reconstructed once more
         return result if result.planes else replace(result, building=self[building_id])
 
     def _bodies(self, skin: bool) -> list[Body]:
@@ -486,9 +466,9 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
 
 @dataclass(frozen=True)
 class Run:
-    """What a scene keeps of its run. footprints: of the results, cleaned, before the registration. results: in a
-    temporary file. kept: the same with the columns of footprints that are kept. points: the cloud, in another file.
-    facts: of the provenance. failures: what failed. resources: what is closed with the scene."""
+    """What a scene keeps of its run. footprints: the cleaned footprint of each result, before the registration.
+    results: in a temporary file. kept: the results with only the kept columns of the footprints. points: the cloud, in
+    another temporary file. facts: the provenance. failures: what failed. resources: closed with the scene."""
 
     inputs: Inputs
     footprints: np.ndarray
@@ -501,137 +481,12 @@ class Run:
     resources: ExitStack
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Which buildings are reconstructed: those of these ids, with their centre in ``bbox`` (in the CRS of the run), and
-    with it in the tile of this name, which may have none. None of the three limits nothing."""
-
-    ids: Sequence[str] | None = None
-    bbox: Bounds | None = None
-    tile: str | None = None
-
-
-@dataclass(frozen=True)
-class Machine:
-    """Where a run computes. device: of the network. threads: of the network, or processes of the fit without
-    one. scratch: folder of temporary files."""
-
-    device: DeviceName = "auto"
-    threads: int = 1
-    scratch: Path | None = None
-
-
-def reconstruct(
-    inputs: Inputs,
-    config: Config,
-    selection: Selection = Selection(),
-    machine: Machine = Machine(),
-    progress: bool | Callable[[int, int], object] = True,
-) -> Scene:
-    """See :func:`p2wss.reconstruct`."""
-    failures = Failures(config.reconstruct.strict)
-    with failures.met(), ExitStack() as resources:
-        completion = config.reconstruct.completion and inputs.completion
-        settings = config.reconstruct.model_copy(update={"completion": completion})
-        config, tile = config.model_copy(update={"reconstruct": settings}), selection.tile
-        predictor = load_network(inputs.weights, machine.device, machine.threads)
-        terrain = None if inputs.terrain is None else inputs.terrain[0]
-        outline_cloud = None
-        if inputs.footprints is None:
-            outline_cloud, features, is_own = read_outlines(inputs, config)
-            features = features.having(**{OWN_OUTLINE: np.full(len(features), is_own)})
-        else:
-            features = read_features(inputs, settings)
-        log.debug("%d footprints read", len(features))
-        compile_once()
-        whole = set(features["building_id"].tolist())
-        features = cleaned(features, config)
-        log.debug("%d footprints cleaned", len(features))
-        if inputs.lines is not None:
-            features = with_lines(features, inputs.lines[0])
-        is_chosen = in_tile(features, tile, config.region.tile_size_m)
-        is_chosen &= chosen(features, whole, selection.ids, selection.bbox, inputs.footprints_name)
-        area = Area(features, is_chosen, settings)
-        folder = machine.scratch or Path(tempfile.gettempdir())
-        rows, boxes, around = features.take(area.is_chosen), area.boxes, None
-        if settings.vegetation and len(rows):
-            around = grown(shapely.total_bounds(rows.geometry).tolist(), settings.terrain_margin_m)
-            boxes = np.concatenate([boxes, [grown(around, vegetation.RULES.margin_m)]])
-        points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
-        store = resources.enter_context(Spool[Any](2 * len(area.numbers), folder))
-        if outline_cloud is None:
-            if tile is None and len(rows) and shapely.is_empty(rows.geometry).all():
-                raise InputError(_none_usable(rows, inputs))
-            if tile is None and not inputs.overlap(window(features)):
-                raise InputError(_no_overlap(len(features), inputs))
-            for chunk in inputs.chunks(points.bounds, class_set(**config.region.classes.model_dump())):
-                points.append(chunk)
-            points.drop_repeated()
-            for warning in unclassified.warnings(*area.missing_classes(points)):
-                log.warning("warning: %s", warning)
-        else:
-            points.append(outline_cloud)
-            outline_cloud = None
-        registers = area.registers(points)
-        if inputs.footprints is None:
-            registers[:] = registration.STAYS
-        elif settings.registration == "always":
-            registers[:] = registration.CLASSES
-        if inputs.terrain is not None:
-            exports.check_coverage(*inputs.terrain, rows)
-        if points.num_points:
-            sample = plausibility.sample_of(rows, points, terrain)
-            log.info("%s", plausibility.summary(sample))
-            plausibility.check(sample, inputs, settings.height_unit, settings.terrain_unit)
-        for note in exports.notes(settings, rows, terrain is not None):
-            log.info("note: %s", note)
-        method = f"model {inputs.weights}" if inputs.weights else "fit to the points"
-        log.info("%d footprints, %d points around them; %s", len(rows), points.num_points, method)
-        stem = tile or inputs.name
-        with _reporting(progress, len(area.numbers)) as report:
-            to_do = Rows(
-                len(area.numbers), store, predictor, stem, settings, terrain, machine.threads, folder
-            )
-            run_area(area, points, to_do, registers, report)
-        results = store[: len(rows)]
-        if registers[area.is_chosen].any():
-            log.info("%s", registration.summary(result.registration for result in results))
-        if (
-            (selection.ids or tile) is None
-            and inputs.footprints is not None
-            and not any(r.num_points for r in results)
-        ):
-            raise InputError(_no_overlap(len(results), inputs, points.num_points))
-        num_unseen = sum(r.ground is not None and r.ground[0] in ground.UNSEEN for r in results)
-        if num_unseen:
-            log.warning(
-                "warning: no ground is seen around %d of %d buildings; it is guessed from the lowest points"
-                " (ground_source), often too high%s",
-                num_unseen,
-                len(results),
-                "" if terrain else "; --terrain states it",
-            )
-        facts = files.provenance(
-            config=section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE),
-            code=fingerprint("reconstruction"),
-            crs=inputs.crs.to_string(),
-            model=inputs.weights and inputs.weights.name,
-            clouds=[header.path.name for header in inputs.headers],
-            footprints=None if inputs.footprints is None else inputs.footprints_name.name,
-            **({} if inputs.lines is None else {"lines": inputs.lines[1]}),
-            terrain=None if inputs.terrain is None else inputs.terrain[1].name,
-        )
-        plants: list[vegetation.Plant] = []
-        if around is not None:
-            footprints = _as_registered(features.geometry, area.numbers, store[: len(area.numbers)])
-            plants = vegetation.plants(points, around, footprints)
-            log.info("%d plants", len(plants))
-        kept = exports.kept(results, settings)
-        run = Run(inputs, rows.geometry, results, kept, plants, points, facts, failures, resources.pop_all())
-
-    ids = rows["building_id"].tolist()
-    crowns = {plant.name: plant.mesh for plant in plants}
-    return Scene(ids, lambda k: _of_result(kept[k], config, facts), inputs.crs, config, stem, run, crowns)
+def of_run(run: Run, ids: Sequence[str], config: Config, name: str) -> Scene:
+    """The scene of a run that is done. ids: of its buildings. name: of the files, without ending."""
+    crowns = {plant.name: plant.mesh for plant in run.plants}
+    return Scene(
+        ids, lambda k: _of_result(run.kept[k], config, run.facts), run.inputs.crs, config, name, run, crowns
+    )
 
 
 def read(path: str | Path) -> Scene:
@@ -650,62 +505,18 @@ def read(path: str | Path) -> Scene:
 
 
 def bounds_of(meshes: Sequence[Mesh]) -> Bounds | None:
-    """x_min, y_min, x_max and y_max of meshes; None without a vertex."""
+    """x_min, y_min, x_max and y_max of meshes; None if they have no vertex."""
     xy = np.concatenate([np.zeros((0, 2)), *(mesh.vertex_m[:, :2] for mesh in meshes)])
     return bounds_of_points(*xy.T)
 
 
-def load_network(weights: Path | None, device: DeviceName = "auto", threads: int = 1) -> Predictor | None:
-    """The network of a file of weights, with so many threads; None for none. torch is imported here and not before."""
-    if weights is None:
-        return None
-    set_num_threads(threads)
-    from p2wss.nets.predictor import load_predictor
-
-    return load_predictor(weights, device)
-
-
-@contextmanager
-def _reporting(
-    progress: bool | Callable[[int, int], object], total: int
-) -> Iterator[Callable[[int], object]]:
-    """What is called with the number of buildings that are done."""
-    if progress is True:
-        with Progress("reconstruct", total, "buildings") as bar:
-            yield bar.update
-    else:
-        yield lambda num_done: progress(num_done, total) if callable(progress) else None
-
-
-def _as_registered(footprints: np.ndarray, numbers: np.ndarray, results: Sequence[Result]) -> np.ndarray:
-    """All footprints of a run, those of ``numbers``, which have results, where the registration has moved them."""
+def as_registered(footprints: np.ndarray, numbers: np.ndarray, results: Sequence[Result]) -> np.ndarray:
+    """The footprints of a run, moved where the registration has moved them. numbers: the footprints of ``results``."""
     moved = footprints.copy()
     for number, result in zip(numbers.tolist(), results, strict=True):
         if result.registration is not None:
             moved[number] = shapely.transform(moved[number], partial(np.add, result.registration.shift_m))
     return moved
-
-
-def _none_usable(rows: Features, inputs: Inputs) -> str:
-    counts = Counter(rows["status"].tolist()).most_common()
-    reasons_text = "; ".join(
-        f"{reason}: {count} ({reasons.MEANINGS.get(reason, reason)})" for reason, count in counts
-    )
-    words = f"{inputs.footprints_name}: none of its {len(rows)} footprints can be built: {reasons_text}"
-    are_degrees = (np.abs([rows["centre_x_m"], rows["centre_y_m"]]) <= [[180], [90]]).all()
-    return f"{words}; their coordinates look like degrees: save them with their CRS" if are_degrees else words
-
-
-def _no_overlap(num_footprints: int, inputs: Inputs, num_points: int = 0) -> str:
-    if num_points:
-        return (
-            f"{inputs.headers[0].path}: has {num_points} points around the {num_footprints} footprints of"
-            f" {inputs.footprints_name}, but none on them: are points of buildings missing, or footprints displaced?"
-        )
-    return (
-        f"{inputs.headers[0].path}: no point near any of the {num_footprints} footprints of {inputs.footprints_name}:"
-        " do they cover the same place, in the same CRS? Noise, withheld points and ignored classes do not count"
-    )
 
 
 def _of_result(result: Result, config: Config, facts: Mapping[str, Any]) -> SceneBuilding:
@@ -726,7 +537,7 @@ def _of_file(solid: cityjson_read.ReadSolid) -> SceneBuilding:
     mesh = solid.mesh if len(solid.mesh.triangle) else None
     ground = np.zeros((0, 3, 3)) if mesh is None else mesh.corner_m[mesh.kind == FaceKind.GROUND]
     footprint = shapely.union_all(shapely.polygons(ground[:, :, :2]))
-    # other programs' attributes of these names mean other things, as in 3DBAG the use of a building
+    # in files of other programs, attributes of these names mean something else: in 3DBAG, the use of a building
     is_ours = solid.attributes.get("status") in STATUSES
     return SceneBuilding(
         solid.building_id,

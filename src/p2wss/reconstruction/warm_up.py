@@ -37,11 +37,11 @@ _CRS = "EPSG:2154"
 
 
 def warm_product(num_processes: int = 0, more: Sequence[Callable[[], None]] = ()) -> None:
-    """Compile what roofs of planes need, the paper's buildings, and terrain, and if there is torch, what a network is
-    given; then call ``more``.
+    """Compile the code for roofs of planes, for the paper's buildings, for terrain, and if torch is installed, for the
+    input of a network; and call ``more``.
 
-    That is slow, so several processes begin with parts that need nothing of each other: each loads what another one has
-    compiled. With no further process, this one compiles all.
+    As that is slow, ``num_processes`` processes share independent parts; each loads what another one has compiled. With
+    0, this process compiles all.
     """
     parts = [_fit, _parametric, _labelling, _whole, *more]
     for _ in Shared(_quietly, list(enumerate(parts)), num_processes):
@@ -51,7 +51,7 @@ def warm_product(num_processes: int = 0, more: Sequence[Callable[[], None]] = ()
 def _quietly(part: tuple[int, Callable[[], None]]) -> None:
     number, function = part
     level = log.level
-    # the first says how far all are
+    # only the first part logs, which tells the progress of all
     log.setLevel(logging.WARNING if number else level)
     try:
         function()
@@ -60,7 +60,7 @@ def _quietly(part: tuple[int, Callable[[], None]]) -> None:
 
 
 def _fit() -> None:
-    # with few points of the house, and with all
+    # with all points of the house, and with few
     features, cloud = _drawn()
     house = features.geometry[1]
     ring, is_within = shapely.get_coordinates(house)[:-1], shapely.contains_xy(house, cloud.x_m, cloud.y_m)
@@ -85,7 +85,7 @@ def _labelling() -> None:
     )
     costs = Costs(problem, PlanePrices(), np.zeros((1, 2)))
     least_cost(costs)
-    # only roofs with four walls at one place, or with open ground within
+    # code that is needed only for roofs with four walls at one place, or with open ground within
     costs.total_m3(costs.faces(pair[0, :1]))
     costs.change_m3(pair[0, :1], 0, 0)
 
@@ -96,7 +96,7 @@ def _whole() -> None:
     results = run(features, cloud, None, "sample", config)
     run(features, cloud, None, "sample", config.model_copy(update={"roofs": "parametric"}))
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
-    # only footprints that may have to move
+    # code that is needed only for footprints that may have to move
     solve_shift(np.array([[0.0, 0.0, 1.0, 0.0]]), np.zeros(1), np.ones(1), np.zeros(2))
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
     exports.with_terrain([exports.mesh(result, config) for result in results], terrain, config)

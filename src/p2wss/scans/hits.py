@@ -1,8 +1,8 @@
 """Where rays meet the surface first, exactly.
 
-Embree answers in float32 and, rarely, wrongly (near-parallel rays on thin triangles). So it is asked only
-which triangle a ray meets first. The point is computed here in float64 and must lie on that triangle, which
-also makes the points equal on machines whose Embree rounds differently.
+Embree answers in float32 and, rarely, wrongly (near-parallel rays on thin triangles). So only the triangle that a ray
+meets first is taken from it. The point is computed here in float64 and must lie on that triangle, which also makes the
+points equal on machines whose Embree rounds differently.
 """
 
 from __future__ import annotations

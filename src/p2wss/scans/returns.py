@@ -23,8 +23,8 @@ OUTCOMES = ("recorded", "no_surface", "outside", "lost")
 
 _PER_RAD = 180 / pi / 0.006  # LAS 1.4, scan angle
 _FULL_SCALE = 40_000.0  # intensity of a white surface seen head-on from the planned altitude
-# where the surfaces under the beam's axis and under the ray that was cast are further apart than this, the return
-# keeps the ray's range: a mixed point at an edge; elsewhere the footprint of the beam averages out
+# if the surfaces under the beam's axis and under the ray that was cast are further apart than this, the return keeps
+# the ray's range, as a mixed point at an edge; elsewhere the footprint of the beam averages out
 _SAME_SURFACE_M = 0.25
 
 
@@ -146,7 +146,8 @@ def record(
 
 @inlined
 def _axis(path: StripPath, pulse: np.uint64, ray: Ray, advance_m: float, quantile: np.ndarray) -> Ray:
-    """The axis of a pulse's beam, from the aircraft on as far as the ray that stands for the beam begins."""
+    """The axis of a pulse's beam. ``ray`` stands for the beam and starts ``advance_m`` from the aircraft; so does the
+    axis."""
     bits = random_bits(path.beam_key, pulse)
     jx = path.beam_sigma_rad * normal(bits, 0, quantile)
     jy = path.beam_sigma_rad * normal(bits, 1, quantile)
@@ -161,8 +162,8 @@ def _axis(path: StripPath, pulse: np.uint64, ray: Ray, advance_m: float, quantil
 
 @inlined
 def _axis_distance(normal: tuple[float, float, float], height_m: float, t: float, axis: Ray) -> float:
-    """Where the beam's axis meets the plane that the ray met at ``t``, or ``t`` where the two are further apart than
-    :data:`_SAME_SURFACE_M`."""
+    """Distance at which the beam's axis meets the plane of the surface that the ray met at distance ``t``; ``t`` itself
+    if the two distances differ by :data:`_SAME_SURFACE_M` or more."""
     nx, ny, nz = normal
     slope = nx * axis.dx + ny * axis.dy + nz * axis.dz
     if slope != 0.0:

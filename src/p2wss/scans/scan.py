@@ -143,10 +143,10 @@ def simulate(
 ) -> Scan:
     """Survey one scene.
 
-    ``buildings`` has the columns of ``schemas.buildings.BUILDINGS``. Those of the margin occlude what is
-    behind them; points are kept over the tile, its own buildings and a margin. The same tile, settings and
-    input give the same points whatever ``threads`` and ``chunk_pulses`` are. Raises :class:`InputError` if
-    the terrain has no data over the tile, or rises to the altitude of the flight.
+    ``buildings`` has the columns of ``schemas.buildings.BUILDINGS``. Buildings of the margin occlude what is behind
+    them; points are kept over the tile, its own buildings and a margin. The same tile, settings and input give the same
+    points whatever ``threads`` and ``chunk_pulses`` are. Raises :class:`InputError` if the terrain has no data over the
+    tile, or rises to the altitude of the flight.
     """
     bounds = tile_bounds(tile, tile_size_m)
     height_m = terrain.cut(bounds).height_m
@@ -176,8 +176,8 @@ def simulate(
 
 
 class Place(NamedTuple):
-    """Where a survey flies. name: for messages. origin_m: (3,), the zero of the local frame. bounds: over which the
-    flight is planned. around: within which points are kept. Both in the CRS."""
+    """Where a survey flies. name: for messages. origin_m: (3,), the zero of the local frame in the CRS. bounds: the
+    window for which the flight is planned. around: the window in which points are kept. Both are in the CRS."""
 
     name: str
     origin_m: np.ndarray
@@ -193,7 +193,7 @@ def fly(
     threads: int = 1,
     chunk_pulses: int = CHUNK_PULSES,
 ) -> tuple[Survey, Points, dict[str, int]]:
-    """(the survey of a surface, its points, the numbers of pulses).
+    """(the survey of a surface, its points, the number of pulses by outcome as of :func:`~p2wss.scans.caster.cast`).
 
     Raises :class:`InputError` if the surface rises to the altitude of the flight.
     """
@@ -244,7 +244,7 @@ def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) 
 
 
 def _las_chunks(scan: Scan) -> Iterator[dict[str, np.ndarray]]:
-    """The points by LAS dimension, some at a time."""
+    """The points by LAS dimension, in chunks."""
     for first in range(0, len(scan.points.pulse), _WRITTEN_AT_ONCE):
         columns = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in scan.points))
         yield las_dimensions(columns, scan.survey)

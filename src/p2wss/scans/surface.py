@@ -59,7 +59,7 @@ def encode_face(kind: np.ndarray, edge: np.ndarray) -> np.ndarray:
 
 
 def is_tree(face: np.ndarray) -> np.ndarray:
-    """Which face ids are those of trees, bool (n,)."""
+    """bool (n,): which face ids belong to trees."""
     return face == 4 * ClutterKind.TREE
 
 

@@ -66,7 +66,7 @@ def _highest(height: np.ndarray) -> np.ndarray:
     """The highest cell centre of every block of squares, float32."""
     known = np.where(np.isnan(height), np.float32(-np.inf), height)
     rows, columns = (np.arange(0, count - 1, BLOCK_SQUARES) for count in height.shape)
-    # of squares first: a centre on the border of two blocks counts for both
+    # first the highest corner of each square, as a centre on the border of two blocks belongs to both
     of_rows = np.maximum.reduceat(np.maximum(known[:-1], known[1:]), rows)
     return np.maximum.reduceat(np.maximum(of_rows[:, :-1], of_rows[:, 1:]), columns, axis=1)
 
@@ -77,9 +77,9 @@ def crossing(
 ) -> tuple[float, float, float]:
     """Where a falling ray (dz < 0) first meets the terrain, if nearer than ``limit``.
 
-    Returns (distance in lengths of the direction, or -1; slope of the triangle towards east; towards north). The arrays
-    are those of the grid, taken out of it once for many rays: numba counts the references to an array each time that it
-    is taken out of a tuple. In float64, and without a tree.
+    Returns (distance in lengths of the direction, or -1; slope of the triangle towards east; towards north), in float64
+    and without a tree. height, highest: arrays of ``grid``, taken out once for many rays: numba counts the references
+    to an array each time that it is taken out of a tuple.
     """
     per_cell = 1 / grid.cell_m
     start = max((grid.max_m - ray.z) / ray.dz, 0.0)
@@ -95,8 +95,8 @@ def crossing(
 def _walk(
     height: np.ndarray, blocks: np.ndarray, ray: Ray, start: float, end: float
 ) -> tuple[float, float, float]:
-    """First crossing between ``start`` and ``end``: block by block, and square by square in the blocks whose
-    terrain the ray may meet. ray: in cells."""
+    """First crossing between ``start`` and ``end``: block by block, and square by square in the blocks whose terrain
+    the ray may meet. ray: in units of cells."""
     rows, columns = height.shape
     u, v, z, du, dv, dz = ray
     # lengths of ray per cell; a ray that stays in its column or row never leaves it
@@ -119,7 +119,7 @@ def _walk(
 
 @inner
 def _walk_squares(height: np.ndarray, ray: Ray, start: float, end: float) -> tuple[float, float, float]:
-    """First crossing between ``start`` and ``end``, square by square. ray: in cells."""
+    """First crossing between ``start`` and ``end``, square by square. ray: in units of cells."""
     rows, columns = height.shape
     u, v, _, du, dv, _ = ray
     per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300
@@ -144,7 +144,7 @@ def _clip(u: float, per_u: float, high: float, start: float, end: float) -> tupl
 
 @inlined
 def _place(u: float, du: float, size: int, count: int) -> int:
-    """Number of the interval of ``size`` that a ray at ``u`` enters; at a border, the one it goes into."""
+    """Number of the interval of ``size`` that contains ``u``; at a border, the interval that the ray enters."""
     # rounding may leave u just short of the border that the ray is about to cross
     ahead = u + 1e-9 if du > 0 else u - 1e-9
     return min(max(int(ahead * (1.0 / size)), 0), count - 1)
@@ -161,7 +161,7 @@ def _exit(u: float, per_u: float, place: int, size: int, t: float) -> float:
 def _cross_square(
     height: np.ndarray, row: int, column: int, ray: Ray, start: float, end: float
 ) -> tuple[float, float, float]:
-    """First crossing of a square's triangles between ``start`` and ``end``. ray: in cells."""
+    """First crossing of a square's triangles between ``start`` and ``end``. ray: in units of cells."""
     u, v, z, du, dv, dz = ray.x - column, ray.y - row, ray.z, ray.dx, ray.dy, ray.dz
     nw, ne = np.float64(height[row, column]), np.float64(height[row, column + 1])
     sw, se = np.float64(height[row + 1, column]), np.float64(height[row + 1, column + 1])

@@ -19,7 +19,7 @@ from p2wss.scenes.roofs import FootprintEdges, draw_angles
 from p2wss.skeleton import Status
 from p2wss.storage.features import Features
 
-# ranges of eave heights to draw from where BD TOPO has none, by its attribute nature, then by its usage
+# ranges from which eave heights are drawn where BD TOPO has no height, by its attribute nature, then by its usage
 DRAWN_BY_NATURE_M = {
     "Serre": (2.5, 4.0),
     "Silo": (8.0, 20.0),
@@ -37,11 +37,11 @@ DRAWN_BY_USAGE_M = {
 }
 DRAWN_M = (2.5, 6.5)
 _STEP_M = 1.0  # between samples of the terrain along a footprint
-# footprints with a smaller gap share a party wall: data sets rarely draw the common wall twice alike
+# footprints with a gap of at most this share a party wall, as data sets rarely draw a common wall twice alike
 _PARTY_GAP_M = 0.3
 _PARTY_SHARE = 0.5
-# footprints this far beyond the margin are read too, so that a building has the same party walls in each scene; those
-# this near to the tile or to its buildings are of the scene, however far away their middle is
+# footprints up to this far beyond the margin are read, too, so that a building has the same party walls in each scene.
+# Footprints this near to the tile or to its buildings belong to the scene, however far away their centres are
 NEIGHBOUR_DISTANCE_M = 20.0
 
 
@@ -55,7 +55,7 @@ def eave_heights(features: Features, config: Scenes) -> tuple[np.ndarray, np.nda
     3. "floors": num_floors x ``storey_height_m``;
     4. "drawn": drawn from a range by nature or usage, with a seed from (seed, "scenes", building_id).
 
-    A column that they lack counts as unknown.
+    A missing column counts as unknown.
     """
 
     def numbers(name: str) -> np.ndarray:
@@ -85,9 +85,10 @@ def _text(features: Features, column: str, row: int) -> str:
 
 
 def ground_heights(shapes: np.ndarray, terrain: Terrain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Terrain along the edges of each polygon, sampled every metre: median (m), lowest (m), share with data.
+    """(median height, lowest height, share of samples with data) of the terrain along the edges of each polygon.
 
-    float64 arrays (len(shapes),): NaN, NaN and 0 for an empty polygon or one without terrain.
+    It is sampled every metre. float64 arrays (len(shapes),): NaN, NaN and 0 for a polygon that is empty or has no
+    terrain.
     """
     num_shapes = len(shapes)
     boundary = shapely.segmentize(shapely.boundary(shapes), _STEP_M)
@@ -119,13 +120,14 @@ def cut_scene(
 ) -> gpd.GeoDataFrame:
     """The scene of a tile: the columns of :data:`p2wss.storage.schemas.scene.SCENE` and a geometry, sorted by id.
 
-    features: whole blocks of footprints (:func:`p2wss.footprints.cleaning.read_whole_blocks`) of which some intersect
-    the tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
-    ``building_id`` and the height columns of the stage fetch. terrain: of the tile and its margin, in the same
-    CRS. A building belongs to the tile that contains the centre of its bounding box before cleaning; a
-    building whose centre is in the margin, or that is near to the tile or to its buildings, has ``in_tile`` False: a
-    hall beside the tile would else neither occlude it nor put its buildings on guard. An excluded building keeps its
-    row, with the reason as ``status``, an empty geometry, no angles and NaN heights.
+    features: the whole blocks (:func:`p2wss.footprints.cleaning.read_whole_blocks`) of the footprints that intersect
+    the tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with ``building_id`` and the height columns of the
+    stage fetch. terrain: of the tile and its margin, in the same CRS.
+
+    A building belongs to the tile that contains the centre of its bounding box before cleaning. A building whose centre
+    is in the margin, or that is near to the tile or to its buildings, is in the scene with ``in_tile`` False: else a
+    hall beside the tile would not occlude its buildings, nor put them into the split guard. An excluded building keeps
+    its row, with the reason as ``status``, an empty geometry, no angles and NaN heights.
     """
     result = clean_footprints(features, config)
     polygons, status = result.geometry, result["status"]
@@ -187,8 +189,8 @@ def failed_fraction(scene: gpd.GeoDataFrame) -> float:
 
 
 def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
-    """Per polygon: bool array (num_edges,), true for an edge of which at least half is within 0.3 m of another
-    polygon. Edges are numbered over all rings."""
+    """For each polygon, bool (num_edges,): whether at least half of an edge is within 0.3 m of another polygon. Edges
+    are numbered over all rings."""
     rings = polygon_arrays.to_polygons(polygons)
     offset = rings.vertex_offset
     starts, ends = rings.xy_m, rings.xy_m[rings.next_vertex]
@@ -203,13 +205,13 @@ def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
     share = np.bincount(edge, weights=shared_m, minlength=len(edges)) / np.maximum(
         shapely.length(edges), 1e-9
     )
-    # a neighbour that only touches a corner covers the end of the edge up to the gap: less than the share
+    # a neighbour that only touches a corner covers a short end of the edge: less than the share
     is_party = share >= _PARTY_SHARE
     return [is_party[offset[p] : offset[p + 1]] for p in range(len(rings))]
 
 
 def _tile_names(parts: Features, tile_size_m: float) -> np.ndarray:
-    """Tile of each part by its centre; "" for a part without coordinates."""
+    """The tile that contains the centre of each part; "" for a part without coordinates."""
     x, y = parts["centre_x_m"], parts["centre_y_m"]
     is_finite = np.isfinite(x) & np.isfinite(y)
     names = np.full(len(parts), "", dtype=object)

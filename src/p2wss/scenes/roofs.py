@@ -31,8 +31,8 @@ _GABLE_WIDTH_PER_RADIUS = 2.6
 _SHORTEST_WING = 0.5
 # the eave of a shed roof is at least as long as this share of the depth of the roof
 _SHORTEST_SHED_EAVE = 0.5
-# probabilities: a gable roof has two different sides; another wing has the angle of the first; and, of an edge of a
-# mixed roof, that it is flat or vertical
+# probabilities: a gable roof has two different sides; a further wing has the angle of the first; an edge of a mixed
+# roof is flat; an edge of a mixed roof is vertical
 _ASYMMETRIC, _SAME_ANGLE, _MIXED_FLAT, _MIXED_VERTICAL = 0.1, 0.6, 0.1, 0.25
 
 

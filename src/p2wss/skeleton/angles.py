@@ -1,5 +1,5 @@
-"""Angles and tangents that are the same on all processors: the last bit of numpy's ``arctan2``, ``arctan`` and ``tan``
-depends on the instructions that a processor has, and decides which way a coordinate is rounded."""
+"""Angles and tangents that are the same on all processors. The last bit of numpy's ``arctan2``, ``arctan`` and ``tan``
+depends on the instructions that a processor has, and may decide which way a coordinate is rounded."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def bearings(vectors: np.ndarray) -> np.ndarray:
 
 
 def slope_angles(rise: np.ndarray) -> np.ndarray:
-    """Degrees of slopes that rise by so much per metre."""
+    """Angles of slopes, degrees. rise: metres per metre."""
     return np.degrees(bearings(np.stack([np.ones(rise.shape), rise], axis=-1)))
 
 
 def tangents(angle_deg: np.ndarray) -> np.ndarray:
-    """What slopes of so many degrees rise per metre."""
+    """The rise of slopes, metres per metre. angle_deg: degrees."""
     angle = np.radians(angle_deg)
     return np.asarray(np.sin(angle) / np.cos(angle))

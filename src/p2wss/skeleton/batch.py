@@ -103,7 +103,7 @@ def make_batch(
 ) -> Batch:
     """All arguments of :func:`build` as contiguous arrays of the dtypes for which the code is compiled.
 
-    Raises ValueError if the number of angles is not that of the edges.
+    Raises ValueError if the number of angles differs from the number of edges.
     """
     num_polygons = len(polygons)
     xy_m = writable(polygons.xy_m, np.float64).reshape(-1, 2)
@@ -122,7 +122,7 @@ def make_batch(
 
 
 def work_size(polygons: Polygons) -> int:
-    """Number of edges for which the work arrays need room: those of the largest polygon, up to the limit beyond
+    """Number of edges for which the work arrays need room: the edges of the largest polygon, at most the limit above
     which polygons are rejected."""
     num_edges = np.diff(polygons.vertex_offset)
     return int(min(max(num_edges.max(initial=3), 16), MAX_EDGES))

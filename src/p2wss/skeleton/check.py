@@ -29,8 +29,8 @@ _AREA_SHARE = 1e-4
 
 @inner
 def pair_half_edges(triangle: np.ndarray, num_triangles: int, mesh_work: MeshWork) -> bool:
-    """Find the opposite half-edge of every half-edge, numbered ``3 * triangle + corner``. False if an edge has
-    none or several."""
+    """Find the opposite of every half-edge, numbered ``3 * triangle + corner``. False if a half-edge has no opposite or
+    several."""
     start, end, twin, num_half = mesh_work.start, mesh_work.end, mesh_work.twin, 3 * num_triangles
     for h in range(num_half):
         start[h], end[h] = triangle[h // 3, h % 3], triangle[h // 3, (h + 1) % 3]

@@ -1,9 +1,8 @@
 """Decorators that compile functions to cached machine code, without the GIL; a division by zero gives infinity.
 
-numba's cache notices changes in the file of a function only, yet the machine code of the function contains
-that of everything it calls. So the names of the cached files carry a digest of the file and of all modules of this
-package that it imports: code from other sources is never loaded, not even by a process that runs while a file is
-being edited.
+numba's cache only notices changes in the file of a function, but the machine code of the function contains the code of
+everything that it calls. So the names of the cached files carry a digest of the file and of all modules of this package
+that it imports. Code from other sources is never loaded, not even by a process that runs while a file is being edited.
 """
 
 from __future__ import annotations
@@ -36,12 +35,14 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import Environment
 from numba.core.runtime._nrt_python import c_helpers
 
+from p2wss.storage.sources import digest, modules
+
 try:
     import fcntl
 except ModuleNotFoundError:  # Windows: two processes may compile the same function
     fcntl: Any = None  # type: ignore[no-redef]
 
-# it also tells who listens of every call of LLVM, a hundred and more for each function that is loaded
+# llvmlite notifies its listeners of every call of LLVM, a hundred and more for each function that is loaded
 ffi.lib._lock._cblist.clear()
 
 # a literal number, or a variable that starts as one, makes numba compile the functions it is passed to once more, for
@@ -51,32 +52,30 @@ ZERO: Any = np.int64(0)
 _IMPORT = re.compile(r"^from (p2wss[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 _NAME = re.compile(r"\w+")
 log = logging.getLogger("p2wss")
-# a byte beyond those of all functions
+# the byte of the lock file for :func:`alone_ahead`, beyond the bytes of all functions
 _AHEAD = 1 << 32
 
 
 @cache
 def _digest_of_sources(path: Path) -> str:
     """Digest of a file's source and of the sources of all modules of this package that it imports, directly or not."""
-    digest = blake2b(digest_size=6)
+    whole = blake2b(digest_size=6)
     pending, found = [path], {path}
     while pending:
         imported = _imported(pending.pop()) - found
         found |= imported
         pending += imported
     for each in sorted(found):
-        digest.update(each.name.encode() + b"\0" + each.read_bytes())
-    return digest.hexdigest()
+        whole.update(each.name.encode() + b"\0" + digest(each))
+    return whole.hexdigest()
 
 
 @cache
 def _imported(path: Path) -> frozenset[Path]:
-    root = Path(__file__).parents[2]
     result = set()
     for module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
-        base = root.joinpath(*module.split("."))
-        modules = [base, base / "__init__", *(base / name for name in _NAME.findall(names))]
-        result |= {each.with_suffix(".py") for each in modules if each.with_suffix(".py").is_file()}
+        in_module = (f"{module}.{name}" for name in _NAME.findall(names))
+        result |= {modules()[each] for each in (module, *in_module) if each in modules()}
     return frozenset(result)
 
 
@@ -145,7 +144,7 @@ def _lock_file() -> int:
 
 @contextmanager
 def alone_ahead() -> Iterator[bool]:
-    """Whether no other process is in such a block, to compile ahead of what it needs."""
+    """A block in which one process compiles ahead of what it needs: yields whether no other process is in one."""
     is_alone = True
     try:
         if fcntl is not None:
@@ -160,8 +159,8 @@ def alone_ahead() -> Iterator[bool]:
 
 
 class _Cache:
-    """The cache of one function. It is opened when the function is called, and loads machine code without what only the
-    compiler needs: that takes a tenth of a second and 30 MB, and the compiler loads it itself.
+    """The cache of one function. It is opened when the function is called. It loads machine code without the parts of
+    numba that only the compiler needs: these take a tenth of a second and 30 MB, and the compiler loads them itself.
 
     While a process compiles a function, it locks one byte of a file beside the cache. Others wait and load the result.
     """
@@ -171,7 +170,7 @@ class _Cache:
     def __init__(self, function: Callable) -> None:
         self._function = function
         self._byte = crc32(f"{function.__module__}.{function.__qualname__}".encode())
-        # of what is imported now, and not when it is called
+        # the digest of the sources as they are at import, not when the function is called
         _digest_of_sources(Path(function.__code__.co_filename))
         self.of_all.append(self)
 
@@ -207,7 +206,7 @@ class _Cache:
         return result
 
     def _wait(self) -> None:
-        """Until no other process compiles this function; it is then for this one to compile."""
+        """Wait until no other process compiles this function. This process then has the lock, to compile it itself."""
         if fcntl is None:
             return
         try:
@@ -234,8 +233,8 @@ def _compiled(**options: Any) -> Callable[[Callable], Any]:
     def decorate(function: Callable) -> Any:
         result = njit(nogil=True, error_model="numpy", **options)(function)
         result._cache = _Cache(function)
-        # numba would read the entry points of all installed packages, for extensions, which functions of this package
-        # do not need; those of other programs do
+        # numba would read the entry points of all installed packages to find extensions. Functions of this package need
+        # none; functions of other programs still get theirs
         result._compilation_chain_init_hook = lambda: None
         return result
 
@@ -263,7 +262,7 @@ class _Notice(event.Listener):
         if self._depth == 0:
             self._is_for_ours = is_ours
         elif self._is_for_ours and function.py_func.__module__.startswith("numba."):
-            # a part of one that calls it, such as np.sort
+            # a function of numba, such as np.sort, which becomes a part of its caller
             function.targetoptions.update(no_cpython_wrapper=True, no_cfunc_wrapper=True)
             function._compiler.pipeline_class = _CompilerAsUsed
         if is_ours:
@@ -275,8 +274,8 @@ class _Notice(event.Listener):
             # modules may have been imported since
             self._progress.total = len(_Cache.of_all)
         if self._depth == 0:
-            # which only the compiler needs; before the first function, it would load scipy's linear algebra to see
-            # whether it is there, and none here uses it
+            # only the compiler needs this module; before the first function, it would load scipy's linear algebra to
+            # see whether it is there, but no function here uses that
             from numba.np import linalg
 
             linalg.ensure_blas = lambda: None
@@ -290,7 +289,7 @@ class _Notice(event.Listener):
             gc.enable()
         function = compilation.data["dispatcher"]._cache
         if isinstance(function, _Cache):
-            # is_failed says the opposite, up to numba 0.68
+            # not ``is_failed``, which says the opposite up to numba 0.68
             if compilation._exc_details is not None:
                 function.release()
             self._num_done += 1
@@ -303,8 +302,8 @@ event.register("numba:compile", _notice)
 
 
 class _ToStore(CompileResult):
-    """What is stored of a function, without the environments of those that became part of it and have no constants:
-    nothing reads them, and setting up the dozens of each function is a fifth of the time of loading."""
+    """What is stored of a function. The environments of its parts are left out if they have no constants: nothing reads
+    them, and setting up dozens of them for each function takes a fifth of the time of loading."""
 
     __slots__ = ()
 
@@ -322,8 +321,8 @@ class _Library(JITCodeLibrary):
 
 
 class _PartOfCallers(_Library):
-    """A function that only compiled code calls: its machine code is a part of that of its callers, and it has none
-    of its own, which would be translated and stored for nobody."""
+    """A function that only compiled code calls. It becomes a part of the machine code of its callers and has none of
+    its own, as nobody would use it."""
 
     @property
     def codegen(self) -> Any:
@@ -349,9 +348,9 @@ class _PartOfCallers(_Library):
 
 
 class _Alone(_Library):
-    """A function that only Python calls: in place of its bitcode, with which it would become a part of callers, the
-    names of functions in it are stored, since numba asks for the address of no others. Parsing bitcode would be half of
-    the time of loading, and the names of all constants a third."""
+    """A function that only Python calls. Compiled callers would need its bitcode; in place of that, only the names of
+    its functions are stored, as numba asks for no other address. Parsing the bitcode would take half of the time of
+    loading, and the names of all constants a third."""
 
     def _get_module_for_linking(self) -> Any:
         raise TypeError(
@@ -383,9 +382,9 @@ _for_callers: dict[str, Any] = {
     "pipeline_class": _CompilerAsUsed,
 }
 allocating = _compiled(**_for_callers)
-# the same without reference counts of arrays, faster still; such a function cannot create arrays
+# like ``allocating`` without reference counts of arrays, faster still; such a function cannot create arrays
 inner = _compiled(**_for_callers, _nrt=False)
-# the same, as a part of its callers: a call passes seven numbers for each array, and all arrays of a tuple
+# like ``inner``, but inlined by LLVM: a call would pass seven numbers for each array, and all arrays of a tuple
 embedded = _compiled(**_for_callers, _nrt=False, forceinline=True)
 # a few lines that numba inserts in place of their call
 inlined = _compiled(inline="always")

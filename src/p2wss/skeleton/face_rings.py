@@ -13,7 +13,7 @@ from p2wss.skeleton.status import OK, OPEN_FACE, OVERFLOW
 
 
 class _Faces(NamedTuple):
-    """What the planes of the faces of a solid are computed from, and its points."""
+    """The points of a solid, and what the planes of its faces are computed from."""
 
     edge: np.ndarray
     num_edges: int
@@ -23,8 +23,8 @@ class _Faces(NamedTuple):
 
 @inner
 def _place(faces: _Faces, label: int, k: int) -> tuple[float, float]:
-    """Coordinates (u, v) of point k in the plane of a face, in which the face is counter-clockwise seen from
-    outside."""
+    """Coordinates (u, v) of point k in the plane of a face. In these, the outer ring of the face is
+    counter-clockwise."""
     edge, num_edges, counts, point = faces
     first_wall = num_edges + counts[NUM_CAPS]
     if first_wall <= label < first_wall + num_edges:
@@ -44,7 +44,7 @@ def _next_half(
     left. -1 if there is none."""
     best, best_turn, h = -1, 0.0, out_head[here]
     if h >= 0 and half[h].next_out < 0:
-        # there is no other, and no angle to compute
+        # only one half-edge starts here, so that no angle is needed
         return h if half[h].alive == 1 else -1
     u0, v0 = _place(faces, label, here)
     u1, v1 = _place(faces, label, start)

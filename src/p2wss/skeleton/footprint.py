@@ -66,7 +66,7 @@ def set_angles(edge: np.ndarray, num_edges: int, angle_deg: np.ndarray) -> int:
     for i in range(num_edges):
         angle = angle_deg[i]
         if angle == edge[i].angle_deg:
-            continue  # the speed is that of this angle, as it is in the zeros of a new array
+            continue  # the speed is already right, also for the angle 0 in a new array
         if angle == 0.0 or angle == 90.0:
             edge[i].final_speed = 0.0
         elif MIN_SLOPE_DEG <= angle <= MAX_SLOPE_DEG:

@@ -1,4 +1,4 @@
-"""What is connected, directly or through others."""
+"""Connected groups, cells side by side in a mask, and half-edges that run the other way."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from p2wss.skeleton.compiled import both, inner
 from p2wss.skeleton.half_edges import find
 from p2wss.skeleton.types import writable
 
-# by which pairs of vertices are multiplied to spread them over a hash table (Knuth 1973, Fibonacci hashing)
+# pairs of vertices are multiplied by this to spread them over a hash table (Knuth 1973, Fibonacci hashing)
 _SPREAD = -7_046_029_254_386_353_131
 
 
 def groups(size: int, pairs: np.ndarray) -> np.ndarray:
-    """int (size,): equal numbers, from 0 in the order of the first of each, for what is linked by ``pairs`` (n, 2),
-    directly or through others.
+    """int (size,): the group of each element. Elements that ``pairs`` (n, 2) link, directly or through others, are in
+    one group. Groups are numbered from 0 in the order of their first elements.
 
     >>> groups(4, np.array([[0, 2]])).tolist()
     [0, 1, 0, 2]
@@ -24,7 +24,7 @@ def groups(size: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def cell_neighbours(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All pairs of cells in a mask (rows, columns) that share a side: their numbers among those in it.
+    """(first, second): all pairs of cells in a mask (rows, columns) that share a side, as numbers of the cells in it.
 
     >>> [each.tolist() for each in cell_neighbours(np.array([[True, False], [True, True]]))]
     [[1, 0], [2, 1]]
@@ -57,7 +57,7 @@ def grouped(size: int, pairs: np.ndarray) -> np.ndarray:
 
 @both
 def num_slots(num_half: int) -> int:
-    """The size of the table that :func:`find_reverses` needs for so many half-edges."""
+    """The size of the table that :func:`find_reverses` needs for ``num_half`` half-edges."""
     size = 4
     while size < 2 * num_half:
         size *= 2
@@ -66,8 +66,8 @@ def num_slots(num_half: int) -> int:
 
 @inner
 def find_reverses(start: np.ndarray, end: np.ndarray, slot: np.ndarray, result: np.ndarray) -> None:
-    """Write to ``result``, for each half-edge between vertices, int64 (n,), the one that runs the other way, -1 for
-    none: by a hash table with open addresses, ``slot``, in which of equal half-edges the first one is."""
+    """Write to ``result``, for each half-edge from ``start`` to ``end``, int64 (n,), the half-edge that runs the other
+    way, the first one of several, -1 for none. slot: a hash table with open addressing, :func:`num_slots` long."""
     size = num_slots(len(start))
     slot[:size] = -1
     for is_asked in (False, True):

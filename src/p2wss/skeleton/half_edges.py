@@ -24,11 +24,11 @@ from p2wss.skeleton.records import (
 )
 from p2wss.skeleton.status import OK, OVERFLOW
 
-_SAME_PLACE_M = 1e-5  # what is nearer together in plan than this is at one place
-_STRAIGHT_M = 1e-6  # an edge nearer to the line of another than this lies on it
+_SAME_PLACE_M = 1e-5  # nodes that are nearer together in plan than this are at one place
+_STRAIGHT_M = 1e-6  # an edge that is nearer to the line of another edge than this is on that line
 _BENT_M = (
     10.0 * _SAME_PLACE_M
-)  # what a place beside it moves a point between two planes, unless they are almost parallel
+)  # how far a place beside a point between two planes may move the point, unless the planes are almost parallel
 _PARALLEL = 1e-7
 
 
@@ -36,8 +36,8 @@ _PARALLEL = 1e-7
 def _face_label(
     edge: np.ndarray, num_edges: int, cap_height: np.ndarray, counts: np.ndarray, face: int
 ) -> int:
-    """The label of the face number of an arc: a vertical face has that of its wall; all faces at the eave have
-    one label."""
+    """The label of a face of an arc, by its number. A vertical face has the label of its wall. All faces at the eave
+    have one label."""
     if face < num_edges:
         if edge[face].angle_deg == 0.0:
             return flat_label(num_edges, counts)
@@ -51,7 +51,7 @@ def _face_label(
 
 @inner
 def find(parent: np.ndarray, a: int) -> int:
-    """The number that stands for all that a has been merged with."""
+    """The number that stands for ``a`` and for all numbers that it has been merged with."""
     while parent[a] != a:
         parent[a] = parent[parent[a]]
         a = parent[a]
@@ -59,9 +59,9 @@ def find(parent: np.ndarray, a: int) -> int:
 
 
 class _Places(NamedTuple):
-    """The edges of the footprint and the nodes of the skeleton; ``number[:num]``, those that stand for all at their
-    place, with ``x`` and ``y`` of each; by how much two at one place in plan differ in height if they are above each
-    other at a wall."""
+    """Places, where nodes of the skeleton are merged. edge, num_edges: of the footprint. number: the node that stands
+    for all nodes at each place, in ``number[:num]``, with its coordinates ``x`` and ``y``. storey_m: two nodes at one
+    place in plan with a larger difference in height are different places, one above the other at a wall."""
 
     edge: np.ndarray
     num_edges: int
@@ -75,7 +75,7 @@ class _Places(NamedTuple):
 
 @embedded
 def _storey(edge: np.ndarray, num_edges: int) -> float:
-    """Twice what the steepest roof rises over the tolerance in plan, and twice the tolerance."""
+    """``storey_m`` of :class:`_Places`: twice the tolerance in plan, and twice what the steepest roof rises over it."""
     slowest = np.inf
     for e in range(num_edges):
         if 0.0 < edge[e].final_speed < slowest:
@@ -85,7 +85,7 @@ def _storey(edge: np.ndarray, num_edges: int) -> float:
 
 @embedded
 def _num_about(places: _Places, x: float, y: float) -> int:
-    """How many places are less than the tolerance from a point in x and in y."""
+    """How many places differ from a point by less than the tolerance both in x and in y."""
     count = 0
     for m in range(places.num):
         count += (abs(places.x[m] - x) < _SAME_PLACE_M) & (abs(places.y[m] - y) < _SAME_PLACE_M)
@@ -94,7 +94,7 @@ def _num_about(places: _Places, x: float, y: float) -> int:
 
 @inner
 def _nearest_place(places: _Places, k: int) -> int:
-    """The number of the place that node k is at, the nearest one; k if it is at none."""
+    """The node that stands for the nearest place that node k is at; k if it is at none."""
     node = places.node
     best, best_m = k, _SAME_PLACE_M
     for m in range(places.num):
@@ -110,8 +110,8 @@ def _nearest_place(places: _Places, k: int) -> int:
 def _gather_nodes(
     edge: np.ndarray, num_edges: int, node: np.ndarray, num_nodes: int, mesh_work: MeshWork
 ) -> _Places:
-    """Let the first of several nodes at one place stand for the others, ``parent[k]`` for node k; the corners of the
-    footprint come first."""
+    """Merge nodes at one place: ``parent[k]`` becomes the node that stands for the place of node k, its first one.
+    Corners of the footprint come first."""
     number, x, y, parent = mesh_work.place, mesh_work.place_x, mesh_work.place_y, mesh_work.parent
     storey_m = _storey(edge, num_edges)
     places = _Places(edge, num_edges, node, number, x, y, ZERO, storey_m)
@@ -147,7 +147,7 @@ def _join_coplanar_labels(
     counts: np.ndarray,
     label_parent: np.ndarray,
 ) -> None:
-    """Give neighbouring roof faces of one plane one label."""
+    """Give neighbouring roof faces in the same plane one label."""
     for k in range(num_labels(num_edges, counts)):
         label_parent[k] = k
     for k in range(counts[NUM_ARCS]):
@@ -171,7 +171,7 @@ def _add(half: np.ndarray, label_head: np.ndarray, num_half: int, start: int, en
 
 @inner
 def _direction(node: np.ndarray, a: int, b: int) -> tuple[float, float, float, float]:
-    """From node a to node b: the steps in x, y and z for each metre in plan, and how many metres these are."""
+    """From node a to node b: the steps in x, y and z for each metre in plan, and the length in plan, metres."""
     dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
     length = np.sqrt(dx * dx + dy * dy)
     return dx / length, dy / length, dz / length, length
@@ -179,8 +179,8 @@ def _direction(node: np.ndarray, a: int, b: int) -> tuple[float, float, float, f
 
 @inner
 def _is_behind(places: _Places, faces: tuple[int, int], k: int) -> bool:
-    """Whether place k is behind the edge of the footprint of one of two faces: on the other side of a notch, so that it
-    is not near to what is at the edge."""
+    """Whether place k is behind the footprint edge of one of two faces, as on the other side of a notch. Then it does
+    not count as near to places at that edge."""
     edge, node = places.edge, places.node
     for e in faces:
         if e >= places.num_edges:
@@ -196,7 +196,7 @@ def _is_behind(places: _Places, faces: tuple[int, int], k: int) -> bool:
 def _put_ahead(
     node: np.ndarray, ahead: np.ndarray, num_ahead: int, k: int, way: tuple[float, float, float]
 ) -> int:
-    """Put node k among those ahead on a way, the last one first. Returns their number."""
+    """Insert node k into the nodes ahead on a way, which are in reverse order. Returns the number of nodes ahead."""
     at = num_ahead
     while at > 1:
         w = ahead[at - 1]
@@ -211,7 +211,7 @@ def _put_ahead(
 
 @inner
 def _put_storeys_ahead(places: _Places, mesh_work: MeshWork, ends: tuple[int, int], end_place: int) -> int:
-    """The same as :func:`_put_cells_ahead` for an arc that rises along a wall: the places at heights between."""
+    """:func:`_put_cells_ahead` for an arc that rises along a wall: the places between its ends in height."""
     node, ahead = places.node, mesh_work.ahead
     a, b = ends
     rise = node[b].z - node[a].z
@@ -235,9 +235,9 @@ def _put_cells_ahead(
     end_places: tuple[int, int],
     faces: tuple[int, int],
 ) -> int:
-    """Write the places whose cells an arc between two faces runs through, the last one first, to ``ahead``, without the
-    place of its start. The cell of a place is all that is nearer to it than to any other, up to the tolerance. Returns
-    the number.
+    """Write to ``ahead`` the places whose cells an arc between two faces runs through, in reverse order and without the
+    place of its start. The cell of a place is all points that are nearer to it than to any other place, up to the
+    tolerance. Returns the number of places.
     """
     node, near, ahead = places.node, mesh_work.near, mesh_work.ahead
     a, b = ends
@@ -281,7 +281,7 @@ def _put_cells_ahead(
 
 @inner
 def _place_on_edge(places: _Places, a: int, b: int, faces: tuple[int, int]) -> int:
-    """The place nearest to the edge from a to b, between two faces, that it almost touches, -1 for none."""
+    """The nearest place that the edge from a to b, between two faces, almost touches; -1 for none."""
     node = places.node
     dx, dy, dz, length = _direction(node, a, b)
     best, best_m = -1, 0.5 * _SAME_PLACE_M
@@ -326,8 +326,8 @@ def _add_arc(
     """Add an arc (start, end) under the labels of its left and right face, by way of all places that it passes through.
     Returns the number of half-edges, or -1 if there is no room.
 
-    This is snap rounding, with cells around places instead of a grid: arcs that do not cross never will. (Guibas and
-    Marimont, *Rounding arrangements dynamically*, 1998.)
+    This is snap rounding with cells around places instead of a grid: arcs that do not cross before do not cross
+    afterwards. (Guibas and Marimont, *Rounding arrangements dynamically*, 1998.)
     """
     half, label_head, ahead = mesh_work.half, mesh_work.label_head, mesh_work.ahead
     a, b = mesh_work.parent[ends[0]], mesh_work.parent[ends[1]]
@@ -376,9 +376,9 @@ def _cancel_label(half: np.ndarray, label_head: np.ndarray, label: int) -> None:
 def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: MeshWork) -> tuple[int, int]:
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
-    Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is corner i on the ground. Whatever is nearer together
-    than the tolerance becomes one: nodes at one place, and arcs that pass through it. What lies between them is gone
-    then, as it would be had the events been simultaneous.
+    Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is corner i on the ground. Nodes that are nearer
+    together than the tolerance become one place, and arcs that pass by a place go through it. What is between
+    them vanishes, as it would if the events had been simultaneous.
     """
     edge, node, arc = skeleton_work.edge, skeleton_work.node, skeleton_work.arc
     cap_height, counts = skeleton_work.cap_height, skeleton_work.counts
@@ -425,7 +425,8 @@ def collect_half_edges(num_edges: int, skeleton_work: SkeletonWork, mesh_work: M
 def drop_straight_points(
     half: np.ndarray, num_half: int, degree: np.ndarray, point: np.ndarray, num_points: int
 ) -> None:
-    """Remove the points between two faces only, which lie on the line where their planes meet, up to the tolerance."""
+    """Remove the points that only two faces share, if they are on the line where the two planes meet, up to the
+    tolerance."""
     degree[:num_points] = 0
     for h in range(num_half):
         if half[h].alive == 1:

@@ -49,10 +49,10 @@ _PARALLEL = 1e-7  # sine below which two edges are parallel
 _OBLIQUE = 1e-3  # sine above which the point where two edges meet is precise
 _REFLEX = -1e-9
 _LENGTH_M = 1e-7  # a piece shorter than this has vanished
-_JUMP_M = 1e-6  # by how much a piece moves at most when it swallows one that is almost on its line
+_JUMP_M = 1e-6  # a piece moves at most this far when it swallows a piece that is almost on its line
 _AREA_M2 = 1e-6  # twice the area of a loop that has vanished
 _STILL = 1e-12  # a rate of change below this counts as zero
-_TIE = 1e-10  # of events closer than this in height, collapses come before splits
+_TIE = 1e-10  # if events are closer than this in height, collapses come before splits
 _NEVER = np.inf
 
 _ORDINARY, _COLLINEAR, _FACING = 0, 1, 2  # kinds of wavefront vertex
@@ -107,8 +107,8 @@ def _add_vertex(
     at_node: int,
     t: float,
 ) -> int:
-    """Add a vertex to the wavefront, in a loop that is yet to be named. edges: (left, right). neighbours: (previous,
-    next)."""
+    """Add a vertex to the wavefront and return its number; the caller sets its loop. edges: (left, right). neighbours:
+    (previous, next)."""
     before, after = neighbours
     v = counts[NUM_VERTICES]
     counts[NUM_VERTICES] += 1
@@ -169,7 +169,7 @@ def _collapse_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: in
 
 @inner
 def _beyond(edge: np.ndarray, e: int, x: float, y: float, t: float) -> float:
-    """How far a place is from the line of edge e at height t, positive where the edge moves to."""
+    """Signed distance of a place from the line of edge e at height t, positive on the side that the edge moves to."""
     return (y - edge[e].y) * edge[e].dir_x - (x - edge[e].x) * edge[e].dir_y - edge[e].speed * t
 
 
@@ -177,8 +177,8 @@ def _beyond(edge: np.ndarray, e: int, x: float, y: float, t: float) -> float:
 def _meeting_point(
     edge: np.ndarray, left: int, right: int, x: float, y: float, t: float
 ) -> tuple[float, float]:
-    """Where the lines of two edges meet at height t; the given place, nearby, if they are almost parallel. A vertex
-    that starts there carries no error of earlier events on."""
+    """Where the lines of two edges meet at height t; the nearby place (x, y) itself if they are almost parallel. A
+    vertex that starts at this point does not carry on the errors of earlier events."""
     cross = edge[left].dir_x * edge[right].dir_y - edge[left].dir_y * edge[right].dir_x
     if abs(cross) < _OBLIQUE:
         return x, y
@@ -232,7 +232,7 @@ def _try_split(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, a
 def _find_split(
     edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, counts: np.ndarray, v: int, t: float
 ) -> None:
-    """Find the first split of v among all pieces; once no courtyard is left, among those of its own wavefront."""
+    """Find the first split of v among all pieces; once no courtyard is left, among the pieces of its own wavefront."""
     vertex[v].split_time = _NEVER
     vertex[v].split_from = _NOTHING
     if counts[NUM_HOLES] == 0:
@@ -341,8 +341,8 @@ def _depth2(
 def _loop_inside_loop(
     node: np.ndarray, vertex: np.ndarray, v: int, outline: int, t: float, limit: int
 ) -> bool:
-    """Whether the loop of v is inside another one. The place that is farthest from the other decides, a vertex or the
-    middle of a piece, because the two may touch."""
+    """Whether the loop of v is inside the loop of ``outline``. As the two may touch, the vertex or middle of a piece
+    that is farthest from the other loop decides."""
     best = 0.0
     w = v
     a_x, a_y = _position(node, vertex, w, t)
@@ -361,7 +361,8 @@ def _loop_inside_loop(
 
 @inner
 def _region_outline(node: np.ndarray, vertex: np.ndarray, counts: np.ndarray, v: int, t: float) -> int:
-    """A vertex of the outer wavefront of the region that the loop of v bounds (v itself if it is on that)."""
+    """A vertex of the outer wavefront of the region that the loop of v bounds; v itself if its loop is that
+    wavefront."""
     limit = counts[NUM_VERTICES]
     if _loop_area(node, vertex, v, t, limit) > 0.0:
         return v
@@ -424,7 +425,7 @@ def _name_loop(vertex: np.ndarray, v: int, name: int, limit: int) -> None:
 
 @inner
 def _cap(work: SkeletonWork, num_edges: int, region: int, t: float) -> None:
-    """End the loops with the name ``region``, or all if that is -1, in one cap at height t."""
+    """End the loops with the name ``region``, or all loops if it is -1, in one cap at height t."""
     vertex, counts = work.vertex, work.counts
     cap = counts[NUM_CAPS]
     work.cap_height[cap] = t
@@ -561,7 +562,7 @@ def _split(work: SkeletonWork, v: int, t: float) -> tuple[int, int]:
     else:
         _name_loop(vertex, second, counts[NUM_LOOPS], limit)
         counts[NUM_LOOPS] += 1
-        # what had just joined another wavefront may leave it again at the same place
+        # a courtyard that has just joined another wavefront may leave it again at the same place
         if (
             min(_loop_area(node, vertex, first, t, limit), _loop_area(node, vertex, second, t, limit))
             < -_AREA_M2
@@ -687,8 +688,8 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
 def simulate(work: SkeletonWork, num_edges: int, num_rings: int, max_roof_height: float) -> int:
     """Process all events of one polygon. Returns a ``Status``; never raises and always ends.
 
-    work: of :func:`skeleton_work`; its ``edge`` filled up to ``num_edges`` by
-    :func:`p2wss.skeleton.footprint.load_footprint` and :func:`p2wss.skeleton.footprint.set_angles`, all else is
+    work: the arrays of :func:`skeleton_work`. ``edge`` is filled up to ``num_edges`` by
+    :func:`p2wss.skeleton.footprint.load_footprint` and :func:`p2wss.skeleton.footprint.set_angles`; everything else is
     overwritten. max_roof_height: metres above the eave, infinity for none. On return, ``counts`` has the numbers of
     nodes, arcs and caps. Face num_edges + c of an arc is the horizontal cap at ``cap_height[c]`` above the eave.
     """

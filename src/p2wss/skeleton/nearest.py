@@ -11,8 +11,8 @@ from p2wss.skeleton.types import writable
 
 
 def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """(distances (m, count), numbers int (m, count)) of the points nearest to each place, the nearest first, and of
-    equally near ones the first; an infinite distance where there are no more points.
+    """(distances (m, count), numbers int (m, count)) of the points nearest to each place, the nearest first; points
+    that are equally near are in their order. The distance is infinite where there are no more points.
 
     point_m: (n, d), at least one. place_m: (m, d). In the plane or in space.
 
@@ -20,14 +20,14 @@ def nearest(point_m: np.ndarray, place_m: np.ndarray, count: int = 1) -> tuple[n
     (array([[0., 5.]]), array([[0, 1]]))
     """
     squared_m2, number = _nearest(writable(place_m, np.float64), writable(point_m, np.float64), int(count))
-    # of one layout, for which compiled code is compiled
+    # contiguous, as callers' code is compiled for that layout
     return np.sqrt(squared_m2[:, :count]), np.ascontiguousarray(number[:, :count])
 
 
 @inner
 def _between(edge_m: np.ndarray, mean_m: float, at_m: float) -> int:
-    """The last of the ascending ``edge_m`` that is not above a coordinate, 0 if all are. mean_m: between two of them,
-    where the search starts."""
+    """The index of the last of the ascending ``edge_m`` that is not above a coordinate, 0 if all are above it. mean_m:
+    the mean distance of two edges, from which the search starts."""
     k = int(min(max(at_m / mean_m, 0.0), len(edge_m) - 1.0))
     while k > 0 and at_m < edge_m[k]:
         k -= 1
@@ -38,7 +38,8 @@ def _between(edge_m: np.ndarray, mean_m: float, at_m: float) -> int:
 
 @allocating
 def _as_many_in_each(value_m: np.ndarray, num: int) -> np.ndarray:
-    """The lower edges of columns that have as many of some values from 0 on each; reorders the values."""
+    """The lower edges of ``num`` columns with about the same number of values in each; the first edge is 0. Reorders
+    the values."""
     edge_m, size = np.zeros(num), len(value_m) // num + 1
     for k in range(1, num):
         first = min((k - 1) * size, len(value_m) - 1)
@@ -51,7 +52,7 @@ def _as_many_in_each(value_m: np.ndarray, num: int) -> np.ndarray:
 def _cells(
     local_m: np.ndarray, x_edge_m: np.ndarray, y_edge_m: np.ndarray, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(where those of each cell begin, points by cell)"""
+    """(first, point): cell k of the grid, counted row by row, has the points ``point[first[k]:first[k + 1]]``."""
     cell = np.empty(len(local_m), np.int64)
     for t in range(len(local_m)):
         row, column = _between(y_edge_m, cell_m, local_m[t, 1]), _between(x_edge_m, cell_m, local_m[t, 0])
@@ -61,18 +62,18 @@ def _cells(
 
 @both
 def _grid(local_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray]:
-    """Points (n, 3), the least coordinates of which are 0, by the cells of a grid in plan: (lower edges of columns; of
-    rows; mean distance of edges; where the points of each cell begin, row by row; numbers of points, by cell)."""
+    """A grid of cells in plan over points (n, 3), whose least coordinates are 0: (lower edges of columns; lower edges
+    of rows; mean distance of edges; first and point of :func:`_cells`)."""
     x_m, y_m = local_m[:, 0].copy(), local_m[:, 1].copy()
     width_m, height_m = x_m.max(), y_m.max()
-    # one in each on average: larger ones are slower for any count
+    # one point in each cell on average: larger cells are slower for any count
     cell_m = max((width_m * height_m / len(x_m)) ** 0.5, max(width_m, height_m) / len(x_m), 1e-9)
     x_edge_m = np.arange(int(width_m / cell_m) + 1) * cell_m
     y_edge_m = np.arange(int(height_m / cell_m) + 1) * cell_m
     begin, order = _cells(local_m, x_edge_m, y_edge_m, cell_m)
     most = (begin[1:] - begin[:-1]).max()
     if most > 64 and most * most > 16 * len(x_m):
-        # in patches that are far apart: cells of one size would have all of a patch in one
+        # points are in patches that are far apart: with cells of one size, all points of a patch would be in one cell
         num = int(len(x_m) ** 0.5)
         x_edge_m, y_edge_m = _as_many_in_each(x_m, num), _as_many_in_each(y_m, num)
         begin, order = _cells(local_m, x_edge_m, y_edge_m, cell_m)
@@ -81,7 +82,7 @@ def _grid(local_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarra
 
 @entry
 def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(squared distances, numbers), one more than asked for of each place."""
+    """(squared distances, numbers), (m, count + 1): one point more than asked for at each place."""
     size, low_m, local_m = point_m.shape[1], np.zeros(3), np.zeros((len(point_m), 3))
     for k in range(size):
         low_m[k] = point_m[:, k].min()
@@ -101,7 +102,7 @@ def _nearest(place_m: np.ndarray, point_m: np.ndarray, count: int) -> tuple[np.n
         while bound_m < np.inf and squared_m2[count - 1] >= bound_m * bound_m:
             left, right, low, high = column - reach, column + reach, row - reach, row + reach
             for r in range(max(low, 0), min(high, num_rows - 1) + 1):
-                # all cells of the row, or the first and the last one of those between which all were searched before
+                # all cells of the row; or only the first and the last, as the cells between were searched before
                 is_whole = reach == 1 or r in (low, high)
                 for first, last in (
                     (left, right if is_whole else left),

@@ -50,7 +50,7 @@ def select(values: np.ndarray, count: int, place: int) -> float:
 
 @allocating
 def order_of(value: np.ndarray) -> np.ndarray:
-    """The places (n,) of float64 values, by these; equal ones in the order in which they are."""
+    """The indices (n,) that sort float64 values; the order of equal values stays."""
     return np.argsort(value, kind="mergesort")
 
 
@@ -62,8 +62,8 @@ def ascending(number: np.ndarray) -> np.ndarray:
 
 @allocating
 def sorted_by(number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """(where the places of each number below ``size`` begin, int64 (size + 1,); places, ascending). number: int (n,),
-    negative for none."""
+    """(first int64 (size + 1,), index): the indices at which ``number`` is k are ``index[first[k]:first[k + 1]]``,
+    ascending. number: int (n,), below ``size``; negative numbers are left out."""
     first = np.zeros(size + 1, np.int64)
     for each in number:
         if each >= 0:

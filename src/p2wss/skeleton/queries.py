@@ -42,16 +42,16 @@ SEGMENT = np.dtype(
 )
 
 
-# so many points are compared with all segments at a time
+# the number of points that are compared with all segments at a time
 _BLOCK = 64
 
 
 class QueryWork(NamedTuple):
     """Work arrays of :func:`_assign` for one thread.
 
-    winding: int64 (faces + 1, block), how often the boundary of each face, and that of the outside, winds round each
-    point of a block. value, height: of each face, what :func:`_assign` writes to ``face`` and, below 0, to
-    ``distance``. beside: a place beside a point.
+    winding: int64 (faces + 1, block), how often the boundary of each face, and of the outside, winds round each point
+    of a block. value: what :func:`_assign` writes to ``face`` for a point on each face. height: what it writes to
+    ``distance`` if that value is below 0. beside: a place beside a point.
     """
 
     segment: np.ndarray
@@ -131,7 +131,7 @@ def _fill_segments(
 def _fill_values(
     edge: np.ndarray, num_edges: int, max_roof_height_m: float, skeleton: SkeletonWork, query: QueryWork
 ) -> None:
-    """Writes to ``query`` what points on each face get."""
+    """Writes to ``query`` the value and the height of each face (:class:`QueryWork`)."""
     for f in range(num_edges):
         angle = edge[f].angle_deg
         query.value[f] = FLAT if angle == 0.0 else OUTSIDE if angle == 90.0 else f
@@ -164,8 +164,8 @@ def _wind(
 def _fill_faces(
     edge: np.ndarray, num_edges: int, num_faces: int, query: QueryWork, points: QueryPoints
 ) -> None:
-    """Face and distance of each of the points, at most a block: of the first face whose boundary winds round it and
-    that is not vertical. There is only one, however many boundaries coincide."""
+    """Writes the face and the distance of each point, at most a block. The face is the one that is not vertical and
+    whose boundary winds round the point. There is at most one, even where boundaries coincide."""
     x, y, face, distance = points
     num = len(x)
     for k in range(num):
@@ -201,9 +201,10 @@ def _assign(
 ) -> None:
     """Find the face over every point, from the skeleton of the angles set last.
 
-    Written are ``points.face``, the edge that owns the roof over the point, or OUTSIDE, FLAT, CAP or CUT, and
-    ``points.distance``, metres from the line of that edge, so that z = eave + tan(angle) * distance; for CAP and CUT
-    the height above the eave; else 0. A point exactly on the boundary of the polygon may count as outside.
+    ``points.face`` becomes the edge that owns the roof over the point, or OUTSIDE, FLAT, CAP or CUT.
+    ``points.distance`` becomes the distance from the line of that edge, metres, so that z = eave + tan(angle) *
+    distance; for CAP and CUT it is the height above the eave, otherwise 0. A point exactly on the boundary of the
+    polygon may count as outside.
     """
     edge, counts = skeleton.edge, skeleton.counts
     x, y, face, distance = points
@@ -223,7 +224,7 @@ def _assign(
                 query.beside[0] = x[k] - 1e-7 * edge[vertical].dir_y
                 query.beside[1] = y[k] + 1e-7 * edge[vertical].dir_x
                 beside = QueryPoints(query.beside[:1], query.beside[1:], face[k : k + 1], distance[k : k + 1])
-                # which overwrites the windings of the first point of the block
+                # this overwrites the windings of the first point of the block
                 _wind(query.segment, num_segments, num_faces, winding, beside.x, beside.y)
                 _fill_faces(edge, num_edges, num_faces, query, beside)
                 f = face[k]
@@ -240,8 +241,8 @@ def _assign_all(
     point_offset: np.ndarray,
     status: np.ndarray,
 ) -> None:
-    """Assign the points of all polygons: those of polygon p are ``point_offset[p]:point_offset[p + 1]``. Those of a
-    polygon without a skeleton stay as they are."""
+    """Assign the points of all polygons. Polygon p has the points ``point_offset[p]:point_offset[p + 1]``; if it has no
+    skeleton, its points stay as they are."""
     x, y, face, distance = points
     for p in range(len(batch.polygon_offset) - 1):
         first, last = point_offset[p], point_offset[p + 1]

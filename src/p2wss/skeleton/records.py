@@ -1,4 +1,4 @@
-"""Records of the work arrays, of which one set serves a whole batch, sized for its largest polygon; labels of faces."""
+"""Records of the work arrays, and labels of faces. One set of arrays, sized for the largest polygon, serves a batch."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ FACE = np.dtype([("label", "i8"), ("first_ring", "i8"), ("last_ring", "i8")], al
 
 
 class Batch(NamedTuple):
-    """Ragged polygons as in :class:`p2wss.skeleton.types.Polygons`, the angle of each edge, and per polygon the heights
-    of eave and base and the greatest height of the roof above the eave; as compiled code takes them."""
+    """A batch for compiled code: ragged polygons as in :class:`p2wss.skeleton.types.Polygons`, the angle of each edge,
+    and for each polygon the heights of eave and base and the greatest height of the roof above the eave."""
 
     xy_m: np.ndarray
     ring_offset: np.ndarray

@@ -1,5 +1,5 @@
-"""Area and inside of rings, and distances of segments, for compiled code. A ring is ``xy[first:last]``, float64 (n, 2),
-open."""
+"""Areas of rings, whether points are inside, and distances of segments, for compiled code. A ring is
+``xy[first:last]``, float64 (n, 2), without its first vertex at the end."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from p2wss.skeleton.compiled import inlined, inner
 
 @inlined
 def crosses(a_x: float, a_y: float, b_x: float, b_y: float, x: float, y: float) -> bool:
-    """Whether the ray from (x, y) along x crosses the edge from a to b. A point is inside of a ring if it crosses an
-    odd number of its edges."""
+    """Whether the ray from (x, y) along x crosses the edge from a to b. A point is inside a ring if its ray crosses an
+    odd number of edges."""
     return (a_y > y) != (b_y > y) and x < a_x + (y - a_y) * (b_x - a_x) / (b_y - a_y)
 
 
@@ -54,7 +54,7 @@ def segment_distance_m2(
 def sides(
     a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
 ) -> float:
-    """Below 0 if c and d are on different sides of the line from a to b, 0 if one of them is on it."""
+    """Below 0 if c and d are on different sides of the line through a and b, 0 if one of them is on it."""
     ux, uy = b[0] - a[0], b[1] - a[1]
     c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
     return c_side * d_side

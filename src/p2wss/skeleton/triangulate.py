@@ -11,8 +11,8 @@ from p2wss.skeleton.rings import sides
 
 MIN_AREA_M2 = 1e-12  # twice the area of the smallest triangle of a solid
 _SMALLEST_QUALITY = 1e-9
-# distances from a side over its length: a corner nearer than the first lies on it, and one nearer than the second is a
-# reason to cut elsewhere
+# distances from a side over its length: a corner nearer than the first is on the side; a corner nearer than the second
+# makes an ear worse
 _ON_SIDE, _BESIDE = 1e-10, 1e-6
 
 
@@ -55,7 +55,7 @@ def _in_cone(uv: np.ndarray, before: int, here: int, after: int, to: tuple[float
 
 @inner
 def copy_corners(corners: Corners, first: int, to: Corners, at: int, count: int) -> None:
-    """Copy ``count`` corners from ``first`` on to the place ``at`` of others."""
+    """Copy ``count`` corners, from index ``first`` on, to ``to``, from index ``at`` on."""
     for k in range(count):
         to.uv[at + k, 0], to.uv[at + k, 1] = corners.uv[first + k, 0], corners.uv[first + k, 1]
         to.point[at + k] = corners.point[first + k]
@@ -65,8 +65,8 @@ def copy_corners(corners: Corners, first: int, to: Corners, at: int, count: int)
 def join_holes(rings: np.ndarray, mesh_work: MeshWork) -> int:
     """Join an outer ring and its holes into one ring, by bridges between the nearest visible corners.
 
-    rings: numbers of those of ``mesh_work.ring``, the outer one first. Writes the joined ring to ``mesh_work.loop``.
-    Returns its length, or -1.
+    rings: numbers of rings in ``mesh_work.ring``, the outer ring first. Writes the joined ring to ``mesh_work.loop``.
+    Returns its length, or -1 if a hole cannot be joined or there is no room.
     """
     corners, loop, spare, joined = mesh_work.ring, mesh_work.loop, mesh_work.spare, mesh_work.joined
     uv, loop_uv, ring_start, zero = corners.uv, loop.uv, mesh_work.ring_start, ZERO
@@ -120,8 +120,8 @@ def join_holes(rings: np.ndarray, mesh_work: MeshWork) -> int:
 
 @inner
 def _ear_quality(corners: Corners, ears: Ears, i: int) -> float:
-    """Area of the ear at i over its longest side squared, or of the sliver that clipping it would leave, if one; 0 if
-    there is no ear."""
+    """Twice the area of the ear at i over its longest side squared; less if clipping it would leave a sliver beside the
+    cut; 0 if there is no ear."""
     uv, point, after = corners.uv, corners.point, ears.after
     a, c = ears.before[i], after[i]
     area = _cross(uv, a, i, c)

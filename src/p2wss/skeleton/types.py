@@ -12,8 +12,8 @@ IntArray = np.ndarray
 
 
 def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray:
-    """The array, or a copy where it is of another dtype, scattered or read-only: for each of these numba would
-    compile everything once more."""
+    """The array, or a copy if it has another dtype, is not contiguous or is read-only. numba would compile everything
+    once more for each of these."""
     array = np.asarray(array, dtype)
     return array if array.flags.carray else array.copy()
 
@@ -24,7 +24,7 @@ def cross(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def distinct(value: np.ndarray) -> np.ndarray:
-    """The different ones (d,) of some values, ascending. numpy's ``unique`` takes four times as long.
+    """The distinct values (d,), ascending. numpy's ``unique`` takes four times as long.
 
     >>> distinct(np.array([[3, 1], [1, 2]])).tolist()
     [1, 2, 3]
@@ -34,7 +34,7 @@ def distinct(value: np.ndarray) -> np.ndarray:
 
 
 def numbered(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(the different ones (d,) of values (n,), ascending; the number of each value among them, int64 (n,)). numpy's
+    """(the distinct values (d,) of ``value`` (n,), ascending; the number of each value among them, int64 (n,)). numpy's
     ``unique`` takes twice as long."""
     order = np.argsort(value, kind="stable")
     ordered, number = value[order], np.empty(len(value), np.int64)
@@ -44,7 +44,7 @@ def numbered(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def differs(ordered: np.ndarray) -> np.ndarray:
-    """bool (n,): which values differ from those before; the first one does."""
+    """bool (n,): which values differ from the value before; the first one counts as different."""
     result = np.ones(len(ordered), bool)
     np.not_equal(ordered[1:], ordered[:-1], out=result[1:])
     return result
@@ -60,8 +60,8 @@ def next_in_ring(ring_offset: IntArray) -> IntArray:
 class FaceKind(IntEnum):
     """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from.
 
-    The kernel makes the first four only. FLOOR is a level face over open ground within a footprint, which a fit to
-    points finds, where the building would be in pieces without it.
+    The kernel only makes the first four. FLOOR is a level face over open ground within a footprint. A fit to points
+    makes it where the building would be in pieces without it.
     """
 
     GROUND = 0
@@ -128,9 +128,9 @@ class Meshes:
     counter-clockwise seen from outside. kind: uint8 (num_triangles,), a :class:`FaceKind`. edge: int32
     (num_triangles,), the edge of the polygon (counted over all its rings) or -1.
     vertex_offset, triangle_offset: int64 (num_meshes + 1,). status: int32 (num_meshes,), a ``Status``.
-    num_caps: int32 (num_meshes,), horizontal pieces of the roof. num_ambiguous: int32 (num_meshes,), how often the
-    wavefront met the case that the definition leaves open, two collinear neighbours of different speeds, in which a
-    millimetre in the footprint may change the roof.
+    num_caps: int32 (num_meshes,), number of caps, horizontal pieces of the roof. num_ambiguous: int32 (num_meshes,),
+    how often two collinear neighbours on the wavefront had different speeds. The definition leaves this case open, and
+    a millimetre in the footprint may then change the roof.
     """
 
     vertex_m: FloatArray

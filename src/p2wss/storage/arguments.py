@@ -1,4 +1,4 @@
-"""Arguments of the public functions, checked before anything slow begins, and errors in their words.
+"""Checks of the arguments of public functions, before anything slow begins, with messages in the words of Python.
 
 A parameter is checked by its name, since one name means the same in every function.
 """
@@ -28,7 +28,7 @@ EXTRAS = {
     "snakemake": "workflow",
     "folium": "map",
 }
-# options whose settings have other names
+# options of the command line whose settings have other names
 _SETTINGS = {"layer": "footprint_layer"}
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 P = ParamSpec("P")
@@ -44,10 +44,10 @@ def missing_extra(error: ModuleNotFoundError) -> InputError:
 
 
 def checked(function: Callable[P, T]) -> Callable[P, T]:
-    """The function with its arguments checked by :data:`_CHECKS`: a wrong one raises :class:`InputError`, as does a
-    package that is missing, with the extra to install.
+    """The function with its arguments checked by :data:`_CHECKS`: a wrong argument raises :class:`InputError`. So does
+    a missing package; the message names the extra to install.
 
-    None is right where it is the default.
+    None passes where it is the default.
     """
     signature = inspect.signature(function)
 
@@ -75,8 +75,8 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """The function, :func:`checked`, with errors and log lines in words of Python: parameters and settings for
-    options of commands."""
+    """The function, :func:`checked`, with errors and log lines in words of Python: options of commands are replaced by
+    the parameters or settings of the same meaning."""
     parameters = inspect.signature(function).parameters
     inner = checked(function)
 
@@ -106,7 +106,8 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _one_of(*kinds: type, having: str = "") -> Callable[[Any], Any]:
-    """A check for values of these types, or with this attribute: of a type that is slow to import."""
+    """A check that a value has one of these types. having: an attribute that is enough, for types that are slow to
+    import."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, kinds) and not (having and hasattr(value, having)):
@@ -149,7 +150,8 @@ def _box(value: Any) -> tuple[float, ...]:
 
 
 _A_PATH = (_one_of(str, os.PathLike), "a path")
-# by the name of a parameter: what returns the value in one form, or raises TypeError or ValueError; what is expected
+# for the name of each parameter: a function that returns the value in one form, or raises TypeError or ValueError; what
+# is expected, for the message
 _CHECKS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "path": _A_PATH,
     "folder": _A_PATH,

@@ -18,10 +18,10 @@ class InputError(Exception):
 
 @contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Raise whatever error the block raises as an :class:`InputError` that names ``path``.
+    """Raise any error of the block as an :class:`InputError` that names ``path``.
 
-    The block does nothing but read that file, of which libraries raise dozens of kinds of errors if it is damaged.
-    A package that is missing is no fault of the file. kind: what the file is not, as in "a readable Parquet file".
+    The block must do nothing but read that file: for damaged files, libraries raise dozens of kinds of errors. A
+    missing package is not converted. kind: what the file is not, as in "a readable Parquet file".
     """
     try:
         yield
@@ -34,7 +34,7 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
     except MemoryError as error:
         raise InputError(f"{path}: not {kind}: it would take more memory than there is") from error
     except BaseException as error:
-        # libraries in Rust raise a failed assertion of theirs as this, which is no Exception
+        # libraries in Rust raise a failed assertion as PanicException, which is no Exception
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise InputError(f"{path}: not {kind}: {_reason(error)}") from error

@@ -1,4 +1,5 @@
-"""Rows with a geometry each: a GeoDataFrame without pandas, which takes as long to load as ten houses, and 70 MiB."""
+"""Rows with a geometry each, like a GeoDataFrame, but without pandas, which takes as long to load as ten houses take to
+reconstruct, and 70 MiB."""
 
 from __future__ import annotations
 
@@ -37,16 +38,16 @@ class Features:
         return self.columns[name]
 
     def take(self, rows: np.ndarray) -> Features:
-        """These rows: numbers of them, in that order, or a mask."""
+        """The features at ``rows``: indices, in that order, or a mask."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         return replace(self, geometry=self.geometry[rows], columns=columns)
 
     def having(self, **columns: np.ndarray) -> Features:
-        """The same with these columns, too, or in place of those of their names."""
+        """The features with these columns added, or replacing columns of the same names."""
         return replace(self, columns={**self.columns, **columns})
 
     def without(self, name: str) -> Features:
-        """The same without a column."""
+        """The features without a column."""
         return replace(self, columns={each: self.columns[each] for each in self.columns if each != name})
 
     @classmethod
@@ -56,7 +57,7 @@ class Features:
         return cls(np.concatenate([part.geometry for part in parts]), columns, parts[0].crs)
 
     def to_frame(self) -> gpd.GeoDataFrame:
-        """The same as a table of geopandas."""
+        """The features as a table of geopandas. Integers with missing values get the type of pandas for them."""
         import geopandas as gpd
         import pandas as pd
 
@@ -69,8 +70,8 @@ class Features:
 
 
 def without_none(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(values, which are missing), each (n,): of objects that are whole numbers or truths beside None, these as such,
-    with 0 for None; of all others the same, without any that is missing."""
+    """(values, which are missing), each (n,). Objects that are all integers or None, or all bool or None, become an
+    array of that type with 0 for None. Other values are returned unchanged, with none missing."""
     given = values.tolist()
     missing = np.array([each is None for each in given], bool)
     known = {type(each) for each in given} - {type(None)}
@@ -80,7 +81,7 @@ def without_none(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def columns_of(frame: pd.DataFrame) -> dict[str, np.ndarray]:
-    """The columns of a table of pandas: numbers with NaN, and objects with None, for what is missing."""
+    """The columns of a table of pandas. Missing values are NaN in numeric columns, and None in columns of objects."""
     return {
         str(name): values.to_numpy()
         if isinstance(values.dtype, np.dtype) and values.dtype.kind in "biuf"

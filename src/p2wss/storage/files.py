@@ -34,7 +34,7 @@ GPKG_DATE = "1970-01-01T00:00:00.000Z"
 METADATA_KEY = b"p2wss"
 _CHECKSUM_KEY = b"p2wss.checksum"
 _JSON_CHECKSUM = "checksum"
-# rows that are compressed and read together
+# number of rows that are compressed and read together
 ROW_GROUP_SIZE = 512
 
 
@@ -45,7 +45,8 @@ def provenance(**facts: Any) -> dict[str, Any]:
 
 @contextmanager
 def gdal_options(**options: str) -> Iterator[None]:
-    """Options of GDAL, with :data:`GPKG_DATE` in GeoPackages, in the block alone: others use GDAL in this process."""
+    """Set options of GDAL, and :data:`GPKG_DATE` for GeoPackages, within the block only: other code in this process
+    uses GDAL."""
     import pyogrio
 
     options = {"OGR_CURRENT_DATE": GPKG_DATE, **options}
@@ -62,9 +63,9 @@ def atomic(path: str | Path, seal: bool = False) -> Iterator[Path]:
     """A temporary path beside ``path``. It is renamed to ``path`` if the block succeeds, and deleted otherwise.
 
     It has the suffix of ``path``, from which GDAL and laspy infer the format. A slot for a checksum
-    (:mod:`p2wss.storage.integrity`) is filled; seal: add one as the last line. A full disk or any other ``OSError``
-    inside the block is raised as an :class:`InputError` that names ``path``. Temporary files that killed processes
-    left in the folder are removed.
+    (:mod:`p2wss.storage.integrity`) is filled. seal: add such a slot as the last line. A full disk or any other
+    ``OSError`` inside the block is raised as an :class:`InputError` that names ``path``. Temporary files that killed
+    processes left in the folder are removed.
     """
     path = Path(path)
     suffix = "".join(path.suffixes)
@@ -114,7 +115,7 @@ class TableWriter:
         import pyarrow as pa
 
         schema = self._writer.schema
-        # an array without a value may be of any type: of a tile without buildings, for instance
+        # an array without values may have any type, for instance that of a tile without buildings
         arrays = {
             field.name: pa.array(columns[field.name] if len(columns[field.name]) else [], type=field.type)
             for field in schema
@@ -158,9 +159,10 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
 def read_rows(
     path: str | Path, schema: pa.Schema, columns: list[str], select: Callable[[pa.Table], np.ndarray]
 ) -> pa.Table:
-    """Rows of a Parquet file with all columns of ``schema``; only those parts of the file that have any are read.
+    """Selected rows of a Parquet file, with all columns of ``schema``. Row groups without a selected row are not read
+    whole.
 
-    select: from a table of ``columns`` with n rows to a mask, bool (n,). Raises :class:`InputError` as
+    select: a function from a table of ``columns`` with n rows to a mask, bool (n,). Raises :class:`InputError` as
     :func:`read_table` does.
     """
     import pyarrow as pa
@@ -177,7 +179,7 @@ def read_rows(
 
 
 def rows_with(columns: list[str], keys: Collection[tuple[str, ...]]) -> Callable[[pa.Table], np.ndarray]:
-    """A function from a table to the mask of the rows whose values of ``columns`` are one of ``keys``, bool (n,)."""
+    """A function from a table to the mask, bool (n,), of the rows whose values of ``columns`` are in ``keys``."""
     selection = set(keys)
 
     def select(table: pa.Table) -> np.ndarray:
@@ -196,7 +198,7 @@ def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> 
 
 
 def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
-    """The table with the types of ``schema``, of which it may have some columns only."""
+    """The table with the types of ``schema``. It may have only some of the columns of ``schema``."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -250,7 +252,7 @@ def write_geoparquet(
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """The metadata of a Parquet file that p2wss wrote.
 
-    Raises :class:`InputError` if it has none, and when a key is asked for that it lacks.
+    Raises :class:`InputError` if the file has none. The result raises it, too, for a key that it lacks.
     """
     with _readable(path) as file:
         stored = (file.metadata.metadata or {}).get(METADATA_KEY)
@@ -274,7 +276,7 @@ class _Facts(dict[str, Any]):
 
 def write_json(path: str | Path, value: dict[str, Any]) -> None:
     """Write ``value`` as indented JSON with a first key ``checksum``, see :mod:`p2wss.storage.integrity`."""
-    # one that the value has brought from another file is no longer true
+    # a checksum that the value has brought from another file is no longer true
     value = {name: each for name, each in value.items() if name != _JSON_CHECKSUM}
     text = json.dumps(value, indent=1, sort_keys=True) + "\n"
     stated = f'{{\n "{_JSON_CHECKSUM}": "{integrity.SLOT}"'
@@ -282,13 +284,14 @@ def write_json(path: str | Path, value: dict[str, Any]) -> None:
 
 
 def check_stem(name: str) -> None:
-    """Raise :class:`InputError` for a name of files that states a folder, too."""
+    """Raise :class:`InputError` if the name for files also states a folder."""
     if name != Path(name).name or name == "..":
         raise InputError(f"name {name}: must be that of a file without ending, and no folder")
 
 
 def check_folder(folder: Path, endings: Iterable[str]) -> None:
-    """Raise :class:`InputError` for a folder that is not there and is named as one of the files in it would be."""
+    """Raise :class:`InputError` for a folder that does not exist and has the ending of one of the files to be written
+    in it."""
     if folder.name.lower().endswith(tuple(endings)) and not folder.exists():
         raise InputError(
             f"{folder}: results are several files; name a folder; --name, name= in Python, is of the files"
@@ -296,7 +299,7 @@ def check_folder(folder: Path, endings: Iterable[str]) -> None:
 
 
 def write_text(path: str | Path, text: str | Iterable[str]) -> None:
-    """Write a text file, of one text or of pieces that follow each other."""
+    """Write a text file. text: the text, or pieces that follow each other."""
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines([text] if isinstance(text, str) else text)
 
@@ -311,8 +314,7 @@ def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes"
     """The value in a JSON file, without its checksum.
 
     kind: the type that it must have, as pydantic understands it, such as a dataclass or ``dict[str, float]``. name:
-    of such a file, for messages.
-    Raises :class:`InputError` if it is missing, not JSON or of another type.
+    what messages call such a file. Raises :class:`InputError` if it is missing, not JSON or of another type.
     """
     integrity.verify(path)
     with reading(path, "JSON"):

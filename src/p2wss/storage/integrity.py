@@ -20,20 +20,21 @@ from p2wss.storage.errors import InputError, reading
 PREFIX = "p2wss-sha256:"
 _MARKER = PREFIX.encode()
 _ZEROS = b"0" * 64
-# what a writer puts into a file, where :func:`fill` writes the checksum
+# placeholder that a writer puts into a file, and that :func:`fill` replaces by the checksum
 SLOT = (_MARKER + _ZEROS).decode()
-# the same, to be written after the content of a binary file, and after the lines of a table or of a JSON text sequence
+# the placeholder as a last line: after the content of a binary file, the lines of a table, a JSON text sequence
 TRAILER = b"\n" + SLOT.encode() + b"\n"
 TABLE_TRAILER = f"# {SLOT}\n"
 JSON_LINES_TRAILER = f'{{"checksum": "{SLOT}"}}\n'
 REMEDY = "delete it and make it again, as the next run of the workflow does"
-# the checksum is this near to the beginning or the end: of a large file of others, no more is searched
+# distance of the checksum from the beginning or the end of a file, bytes: no more is searched, as files of others may
+# be large
 _REACH = 1 << 20
 
-# how the last lines of text files begin, the content of which is no line of the file
+# beginnings of the last line of text files, which does not belong to their content
 _CHECKSUM_LINES = ("# ", '{"checksum": ')
 
-# files that this process has verified, by path, inode, size and time: each is read once for it
+# files that this process has verified, by path, inode, size and time, so that each is read for it only once
 _verified: set[tuple[str, int, int, int]] = set()
 
 
@@ -47,7 +48,7 @@ def fill(path: str | Path) -> None:
 
 
 def append(path: str | Path) -> None:
-    """Add a last line with a slot to a file that is to be filled. A file that has a checksum is left as it is."""
+    """Add a slot as the last line of a file that is yet to be filled. A file that has a checksum is left as it is."""
     if not has_checksum(path):
         with open(path, "ab") as file:
             file.write(TRAILER)
@@ -60,7 +61,7 @@ def has_checksum(path: str | Path) -> bool:
 
 
 def is_intact(path: str | Path) -> bool | None:
-    """Whether a file is what was written; None for one that does not state its checksum. Raises OSError."""
+    """Whether a file is as it was written; None if it does not state its checksum. Raises OSError."""
     with open(path, "rb") as file:
         place = _find(file.fileno(), _MARKER)
         if place is None:
@@ -77,7 +78,7 @@ def is_intact(path: str | Path) -> bool | None:
 
 
 def read_lines(path: str | Path) -> list[str]:
-    """The lines of a text file of ours, without that with the checksum. Raises :class:`InputError` if it is damaged."""
+    """The lines of a text file of p2wss, without its checksum. Raises :class:`InputError` if it is damaged."""
     verify(path)
     with reading(path, "UTF-8 text"):
         lines = Path(path).read_text(encoding="utf-8").splitlines()
@@ -107,7 +108,8 @@ def verify(path: str | Path) -> None:
 
 
 def _find(descriptor: int, text: bytes) -> int | None:
-    """Where ``text``, which is part of a slot, stands in a file: its last place at the end, else its first."""
+    """Offset of ``text``, a part of a slot: its last occurrence in the last MiB, else its first one in the first MiB;
+    None without one."""
     size = os.fstat(descriptor).st_size
     first = max(size - _REACH, 0)
     place = os.pread(descriptor, _REACH, first).rfind(text)

@@ -17,25 +17,26 @@ import pyproj
 
 from p2wss.storage.log_lines import log
 
-# name of a vertical CRS of which only the unit is known
+# name of a vertical CRS if only its unit is known
 UNKNOWN = "unknown height"
 # GeoTIFF keys
 _GEOGRAPHIC_CRS, _PROJECTED_CRS, _LINEAR_UNIT, _VERTICAL_CRS, _VERTICAL_UNIT = 2048, 3072, 3076, 4096, 4099
-# a projection without a code, and the record of WKT, also of libLAS, which wrote it beside keys before LAS 1.4 had it
+# the value of a key for a projection without a code; the record id of WKT, which libLAS already wrote beside keys
+# before LAS 1.4 defined it
 _NO_CODE, _WKT = 32767, 2112
-# of GeoTIFF 1.0: its codes of vertical CRSs, and EPSG's of the same
+# codes of vertical CRSs in GeoTIFF 1.0, and the codes of EPSG for the same CRSs
 _OLD_VERTICAL = {5101: 5701, 5102: 7968, 5103: 5703, 5104: 5704, 5105: 5705}
 _VERTICAL_WKT = re.compile(r"\b(VERT_CS|VERTCS|VERTCRS|VERTICALCRS)\s*\[", re.IGNORECASE)
 # longer than all feet
 _FOOT_M = 0.31
-# a CRS reaches this far beyond its area of use
+# coordinates count as plausible this far beyond the area of use
 _MARGIN_DEG = 2.0
 
 
 @dataclass(frozen=True)
 class Stated:
-    """crs: of the plane, and of heights if they are stated; None if there is none that PROJ knows. heights: vertical
-    CRS of the heights, stated with a CRS or without. doubts: what is not used or contradicts itself, a line each."""
+    """What a header states. crs: of the plane, and of heights if they are stated; None if PROJ knows none. heights:
+    vertical CRS, which may be stated without ``crs``. doubts: what is not used or contradicts itself, a line each."""
 
     crs: pyproj.CRS | None
     heights: pyproj.CRS | None
@@ -43,7 +44,7 @@ class Stated:
 
 
 def stated_crs(header: laspy.LasHeader) -> Stated:
-    """All that a header states, with what was chosen where two statements contradict each other."""
+    """All that a header states. Where two statements contradict each other, one is chosen and a doubt names both."""
     doubts: list[str] = []
     records = [*header.vlrs, *(header.evlrs or [])]
     of_keys, heights, keys = None, None, {}
@@ -95,8 +96,8 @@ def crs_of(header: laspy.LasHeader) -> pyproj.CRS | None:
 
 
 def vertical_part(crs: pyproj.CRS) -> pyproj.CRS | None:
-    """The vertical CRS of a compound one, or of heights alone; of heights above an ellipsoid one without a name; None
-    without heights."""
+    """The vertical CRS of a compound CRS; a vertical CRS itself; :data:`UNKNOWN` with a unit for heights above an
+    ellipsoid; None without heights."""
     if crs.is_compound:
         return crs.sub_crs_list[1]
     if crs.is_vertical:
@@ -105,26 +106,28 @@ def vertical_part(crs: pyproj.CRS) -> pyproj.CRS | None:
 
 
 def is_ellipsoidal(crs: pyproj.CRS) -> bool:
-    """Whether heights are above an ellipsoid: the third axis of a CRS that is none of two."""
+    """Whether heights are above an ellipsoid: the CRS has a third axis, but is not compound."""
     return len(crs.axis_info) == 3 and not crs.is_compound
 
 
 def unit_m(crs: pyproj.CRS) -> float:
-    """Length of the unit of a vertical CRS."""
+    """Length in metres of the unit of a vertical CRS."""
     return float(crs.axis_info[0].unit_conversion_factor)
 
 
 def with_heights(crs: pyproj.CRS, heights: pyproj.CRS) -> pyproj.CRS:
-    """The compound of a plane and of heights; as it is if it has heights, or if theirs only have a unit, metres."""
+    """The compound of ``crs`` and ``heights``. ``crs`` itself if it has heights, or if ``heights`` only states
+    metres."""
     if crs.is_compound or is_ellipsoidal(crs) or (heights.name == UNKNOWN and unit_m(heights) == 1.0):
         return crs
     return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
 
 
 def in_unit(crs: pyproj.CRS, length_m: float, suffix: str = "") -> pyproj.CRS:
-    """The same CRS with axes of another unit; lengths among its parameters have their own. suffix: of its name."""
+    """The same CRS with axes in a unit of ``length_m``; lengths among its parameters keep their units. suffix: added to
+    its name."""
     stated = crs.to_json_dict()
-    # of a CRS that states a shift to another datum (TOWGS84), its source has the axes
+    # if a CRS states a shift to another datum (TOWGS84), its source CRS has the axes
     flat = stated.get("source_crs", stated)
     unit = {"type": "LinearUnit", "name": f"{length_m:.10g} m", "conversion_factor": length_m}
     for axis in flat["coordinate_system"]["axis"]:
@@ -144,7 +147,8 @@ def _of_wkt(
         if not wkt:
             continue
         try:
-            crs = pyproj.CRS.from_user_input(wkt)  # a code, PROJJSON or a PROJ string are there, too
+            # a code, PROJJSON or a PROJ string are there, too
+            crs = as_of_epsg(pyproj.CRS.from_user_input(wkt))
         except pyproj.exceptions.CRSError as error:
             doubts.append(f"its WKT is not used: {error!s:.150}")
             continue
@@ -169,8 +173,8 @@ def _balanced(wkt: str) -> str:
 
 
 def _of_keys(keys: dict[int, int], header: laspy.LasHeader, doubts: list[str]) -> pyproj.CRS | None:
-    """The CRS of the plane. Some clouds have an unknown geographic CRS beside their projected one, which alone
-    counts."""
+    """The horizontal CRS that GeoTIFF keys state by a code of EPSG, else None. A projected CRS comes first: some clouds
+    state an unknown geographic CRS beside it."""
     code = keys.get(_PROJECTED_CRS) or keys.get(_GEOGRAPHIC_CRS)
     if not code or not 1024 <= code <= 32766:
         return None
@@ -222,14 +226,14 @@ def _in_unit(length_m: float) -> pyproj.CRS:
 
 @cache
 def _units() -> dict[int, float]:
-    """Lengths of EPSG's units by their codes, metres."""
+    """Lengths in metres of EPSG's units of length, by their codes."""
     units = pyproj.database.get_units_map(auth_name="EPSG", category="linear", allow_deprecated=True)
     return {int(unit.code): float(unit.conv_factor) for unit in units.values() if unit.code.isdigit()}
 
 
 def same_crs(first: pyproj.CRS, second: pyproj.CRS, min_confidence: int = 70) -> bool:
-    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored. min_confidence: with
-    which PROJ takes both for one of EPSG."""
+    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored. min_confidence:
+    percent, with which PROJ must identify both as the same CRS of EPSG."""
     a, b = horizontal(first), horizontal(second)
     if a.equals(b, ignore_axis_order=True):
         return True
@@ -243,14 +247,14 @@ def _same_plane(first: pyproj.CRS, second: pyproj.CRS) -> bool:
 
 
 def _one_of(candidates: tuple[pyproj.CRS, pyproj.CRS], header: laspy.LasHeader) -> pyproj.CRS:
-    """The first in whose area of use the bounds of a header are; the first of all if that holds for none."""
+    """The first candidate in whose area of use the bounds of the header lie; the first candidate if there is none."""
     centre = (header.mins[:2] + header.maxs[:2]) / 2
     return next((crs for crs in candidates if is_plausible(crs, centre)), candidates[0])
 
 
 def in_degrees(flat: pyproj.CRS, x: float, y: float) -> tuple[float, float]:
-    """Longitude from Greenwich and latitude of a place in a projected or geographic CRS, which may count in grads and
-    from another meridian (the older CRSs of France: from Paris)."""
+    """Longitude from Greenwich and latitude, degrees, of a place in a projected or geographic CRS. The CRS may count in
+    grads and from another meridian, as older French CRSs do (from Paris)."""
     base = flat.geodetic_crs
     if flat.is_projected:
         x, y = pyproj.Transformer.from_crs(flat, base, always_xy=True).transform(x, y)
@@ -259,7 +263,7 @@ def in_degrees(flat: pyproj.CRS, x: float, y: float) -> tuple[float, float]:
 
 
 def meridian_deg(flat: pyproj.CRS) -> float:
-    """Longitude of the prime meridian of a CRS."""
+    """Longitude of the prime meridian of a CRS, degrees from Greenwich."""
     meridian = flat.prime_meridian
     return (
         0.0 if meridian is None else float(np.rad2deg(meridian.longitude * meridian.unit_conversion_factor))
@@ -267,26 +271,59 @@ def meridian_deg(flat: pyproj.CRS) -> float:
 
 
 def placed(crs: pyproj.CRS | None) -> pyproj.CRS | None:
-    """The CRS; None if its x and y are no place on the Earth, as those of local (engineering) CRSs."""
+    """The CRS; None if its x and y do not tell a place on the Earth, as in local (engineering) CRSs."""
     return crs if crs is not None and (crs.is_projected or crs.is_geographic) else None
 
 
 @lru_cache(maxsize=256)
 def epsg_of(wkt: str, min_confidence: int) -> int | None:
-    """The code of a CRS, for which PROJ searches its database for a tenth of a second or so."""
-    return pyproj.CRS.from_wkt(wkt).to_epsg(min_confidence=min_confidence)
+    """The EPSG code of a CRS, or None. PROJ searches its database for it, for a tenth of a second or so.
+
+    The order of the axes does not count: in many countries, such as Sweden, Poland, Japan and New Zealand, northings
+    come first, but WKT 1 states eastings first, so that PROJ does not recognise their CRSs. min_confidence: of PROJ in
+    a code, in percent; it is not asked for a code whose definition is the same.
+    """
+    crs = pyproj.CRS.from_wkt(wkt)
+    stated = crs.to_json_dict().get("id", {})
+    if stated.get("authority") == "EPSG" and _is_of_epsg(crs, stated["code"]):
+        return int(stated["code"])
+    code = crs.to_epsg(min_confidence=min_confidence)
+    if code is None:
+        similar = (each.code for each in crs.list_authority("EPSG", min_confidence=20))
+        code = next((int(each) for each in similar if _is_of_epsg(crs, each)), None)
+    return code
+
+
+def _is_of_epsg(crs: pyproj.CRS, code: str | int) -> bool:
+    """Whether a CRS has the definition of an EPSG code, as EPSG states it or as WKT 1 does."""
+    try:
+        known = pyproj.CRS.from_epsg(code)
+        return bool(crs in (known, pyproj.CRS.from_wkt(known.to_wkt("WKT1_GDAL"))))
+    except pyproj.exceptions.CRSError:  # no such code, or none that WKT 1 can state
+        return False
+
+
+def as_of_epsg(crs: pyproj.CRS) -> pyproj.CRS:
+    """The CRS as EPSG defines it, if the two differ in no more than the order of axes; otherwise the CRS itself."""
+    if crs.is_compound:
+        parts = [as_of_epsg(part) for part in crs.sub_crs_list]
+        return crs if parts == crs.sub_crs_list else pyproj.crs.CompoundCRS(crs.name, parts)
+    base = crs.source_crs if crs.is_bound else crs
+    code = epsg_of(base.to_wkt(), 70) if base is not None and base.is_projected else None
+    known = base if code is None else pyproj.CRS.from_epsg(code)
+    return crs if base == known else known
 
 
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
-    """The horizontal part of a compound or 3D CRS; one of EPSG without the shift to WGS 84 (TOWGS84) that programs used
-    to add to it."""
+    """The horizontal part of a compound or 3D CRS. A CRS of EPSG is returned without the shift to WGS 84 (TOWGS84) that
+    programs used to add."""
     flat = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
     base = flat.source_crs if flat.is_bound else None
     return flat if base is None or epsg_of(base.to_wkt(), 70) is None else base
 
 
 def is_plausible(crs: pyproj.CRS, centre: Sequence[float] | np.ndarray) -> bool:
-    """Whether a place, x and y, is in the area of use of a CRS, or near it."""
+    """Whether a place (x, y) lies in the area of use of a CRS, or at most two degrees outside."""
     flat = horizontal(crs)
     x, y = in_degrees(flat, *centre)
     area = flat.area_of_use

@@ -18,35 +18,35 @@ import numpy as np
 from p2wss.storage import integrity
 from p2wss.storage.errors import reading
 
-# the phrase of messages
+# what messages call such a file
 KIND = "a readable LAS, LAZ or COPC file, or truncated"
 _SIGNATURE = b"LASF"
 # gzip, zip
 _PACKED = (b"\x1f\x8b", b"PK")
 _MIN_HEADER, _HEADER_1_4 = 227, 375
 _VLR_HEADER, _EVLR_HEADER = 54, 60
-# of LAZ, ASPRS' registered user id and record id
+# user id and record id of LASzip's record, as registered with ASPRS
 _LASZIP = (b"laszip encoded", 22204)
-# compressors of LASzip: all points in one stream, and in chunks
+# compressors of LASzip: all points in one stream; points in chunks
 _UNCHUNKED, _CHUNKED = 1, 2
-# of points that are decoded together
+# largest number of points that are decoded together
 _MAX_CHUNK_POINTS = 50_000_000
-# coordinates in whole steps of this many per metre are equal: finer than those of files, which are multiples of at
-# least 0.1 mm, and not cut where such multiples are
+# coordinates in the same step are equal. There are this many steps per metre, finer than the coordinates of files,
+# which are multiples of at least 0.1 mm; with the phase, no such multiple lies at the border of two steps
 STEPS_PER_M, _PHASE = 8000.0, 0.382
-# large odd numbers, by which three coordinates become one number
+# large odd numbers that mix three coordinates into one number
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
 @contextmanager
 def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[laspy.LasReader]:
-    """``laspy.open`` for reading. Any error of the block is raised as an :class:`InputError` that names ``path`` as no
-    ``kind``; that of a damaged file says what makes it again."""
+    """``laspy.open`` for reading. Any error of the block is raised as an :class:`InputError` that ``path`` is not
+    ``kind``; for a damaged file of p2wss it says how to make it again."""
     integrity.verify(path)
     with reading(path, kind):
         unchunked = check_header(path)
         if unchunked is not None:
-            # one after the other: in parallel, a chunk is in memory as a whole
+            # not in parallel, which would need memory for a whole chunk
             options["laz_backend"] = laspy.LazBackend.Lazrs
         readable = nullcontext(path) if unchunked is None else _in_one_chunk(path, *unchunked)
         with readable as source, laspy.open(source, **options) as reader:
@@ -54,7 +54,7 @@ def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[l
 
 
 def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float] | None:
-    """x_min, y_min, x_max and y_max as a header states them; None of one that states none, or the wrong way round."""
+    """(x_min, y_min, x_max, y_max) as a header states them; None if they are not finite, or not a window."""
     is_stated = (
         np.isfinite([header.mins[:2], header.maxs[:2]]).all() and (header.maxs > header.mins)[:2].all()
     )
@@ -108,8 +108,8 @@ def check_header(path: str | Path) -> tuple[int, int, int] | None:
 
 
 def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: int, size: int) -> int | None:
-    """The same for the chunks of compressed points (LAZ specification 1.4); the offset of the content of LASzip's
-    record if there are none."""
+    """Check the chunks of compressed points (LAZ specification 1.4) like :func:`check_header`. Returns None, or for
+    points without chunks the offset of the content of LASzip's record."""
     file.seek(header_size)
     for _ in range(num_vlrs):
         record = file.read(_VLR_HEADER)
@@ -154,11 +154,11 @@ def _exactly(file: BinaryIO, count: int) -> bytes:
 
 @contextmanager
 def _in_one_chunk(path: str | Path, points_at: int, record_at: int, num_points: int) -> Iterator[IO[bytes]]:
-    """A temporary copy of a file whose points are one stream without chunks (LASzip 1.2r0 and before), with what makes
-    it a file of one chunk. The stream is the same in both (LAZ specification 1.4); files of chunks have the position of
-    a table before it, and the table behind it.
+    """A temporary copy of a file whose points are one stream without chunks (LASzip 1.2r0 and before), changed into a
+    file of one chunk. The stream is the same in both (LAZ specification 1.4). A file with chunks has the offset of the
+    chunk table before the stream, and the table behind it.
 
-    points_at: offset of the stream. record_at: of the content of LASzip's record in the file. num_points: of the file.
+    points_at: offset of the stream. record_at: offset of the content of LASzip's record. num_points: of the file.
     """
     end = Path(path).stat().st_size
     with open(path, "rb") as file, tempfile.TemporaryFile() as copy:
@@ -175,7 +175,7 @@ def _in_one_chunk(path: str | Path, points_at: int, record_at: int, num_points: 
 
 
 def steps(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
-    """Coordinates in whole steps, int64 (3, n): places with the same count as equal."""
+    """Coordinates as numbers of whole steps, int64 (3, n); places with the same numbers count as equal."""
     return np.floor(np.array([x_m, y_m, z_m]) * STEPS_PER_M + _PHASE).astype(np.int64)
 
 

@@ -13,17 +13,17 @@ from typing import Any
 from p2wss.storage.log_lines import log
 
 INTERVAL_S = 2.0
-# lines of a log become rarer: the next is this share of the time so far later, or more
+# lines of a log become rarer: the next one comes after at least this share of the time so far
 LATER = 0.1
 
 
 class Progress:
     """How many of ``total`` items are done, for use in a ``with`` block.
 
-    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every two seconds, later ever more
-    rarely, and none for the last item, because a summary follows. Nothing is shown where the log's level hides
-    information, and no bar where it shows details.
-    ``initial`` items were done before, for example by the run that this one resumes.
+    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets lines: at most one in two seconds, later fewer and
+    fewer, and none for the last item, because a summary follows. Nothing is shown where the log's level hides
+    information, and no bar where it shows details. ``initial`` items were done before, for example by an interrupted
+    run.
     """
 
     def __init__(
@@ -38,7 +38,8 @@ class Progress:
         self.title, self.total, self.unit, self.initial = title, total, unit, initial
         self._report, self._clock = report, clock
         self._began_at = self._reported_at = clock()
-        # when the first items were done, and how many: what is before, such as compilation, says nothing of the others
+        # the number of items of the first report, and its time: what was before, such as compilation, says nothing of
+        # the others
         self._first: tuple[int, float] | None = None
         self._contexts = ExitStack()
         self._bar: Any = None

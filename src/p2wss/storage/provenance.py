@@ -19,25 +19,27 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
+from p2wss.storage import sources
 from p2wss.storage.errors import InputError
+from p2wss.storage.sources import PACKAGE
 
-PACKAGE = "p2wss"
-# their values reach a stage through the parameters, or they only pass paths on
-NOT_TRACKED = ("p2wss.config.", "p2wss.storage.provenance.", "p2wss.cli.")
+# modules that do not count: their values reach a stage through the parameters, or they only pass paths on
+NOT_TRACKED = ("p2wss.config.", "p2wss.storage.provenance.", "p2wss.storage.sources.", "p2wss.cli.")
 # another version of these may give other numbers from the same code
 LIBRARIES = ("embreex", "manifold3d", "numba", "numpy", "scipy", "shapely", "torch")
-# of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
+# fields of the syntax tree that do not count: where a name stands tells whether it is read or written, and the other
+# fields are a matter of style
 _NOT_CODE = ("ctx", "kind", "type_comment")
 
-_THIS_FILE = Path(__file__).read_bytes()
-_ROOT = Path(__file__).resolve().parents[1]
-# below the package: what counts of its modules, by their names
+# what counts of a module depends on this file, too
+_OF_THIS_FILE = sources.digest(Path(__file__)).hex()
+# path within the package of what counts of its modules, by their names
 _KEPT = "__pycache__/fingerprints.json"
 
 
 class Module(NamedTuple):
-    """What counts of a module: a digest of its code, and the libraries and names in this package that it imports.
-    version: a digest of its source and of this file."""
+    """What counts of a module. version: a digest of its source and of this file. digest: of its code. imports: the
+    libraries, and the names in this package, that it imports."""
 
     version: str
     digest: str
@@ -48,9 +50,9 @@ class Module(NamedTuple):
 def fingerprint(*stages: str) -> str:
     """Hash of the import closure of the modules ``p2wss.<stage>``: 16 hexadecimal digits.
 
-    A package named here counts with all its modules, one that is imported with what its ``__init__`` imports.
-    A folder of other files, such as "eval.templates", counts with their contents. Of :data:`NOT_TRACKED`, only what
-    is named here counts.
+    A package named in ``stages`` counts with all its modules, an imported package with what its ``__init__`` imports. A
+    folder of other files, such as "eval.templates", counts with their contents. Modules of :data:`NOT_TRACKED` count
+    only if ``stages`` names them.
 
     Raises ``ModuleNotFoundError`` for a stage that is not in the package.
     """
@@ -67,22 +69,22 @@ def fingerprint(*stages: str) -> str:
             continue
         if name in LIBRARIES:
             digests[name] = _version(name)
-        elif _source(name) is None:
+        elif name not in sources.modules():
             digests |= _other_files(name)
         else:
             kept[name] = _read(name, kept.get(name))
             digests[name] = kept[name].digest
-            pending += [each for each in kept[name].imports if each in LIBRARIES or _source(each) is not None]
+            pending += [each for each in kept[name].imports if each in LIBRARIES or each in sources.modules()]
     if kept != known:
         _keep(kept)
-    digest = blake2b(digest_size=8)
+    whole = blake2b(digest_size=8)
     for name in sorted(digests):
-        digest.update(f"{name}\n{digests[name]}\n".encode())
-    return digest.hexdigest()
+        whole.update(f"{name}\n{digests[name]}\n".encode())
+    return whole.hexdigest()
 
 
 def _version(library: str) -> str:
-    """The version that is installed, the same for CPUs and GPUs; "" without the extra that needs the library."""
+    """The installed version of a library, the same for its CPU and GPU builds; "" if it is not installed."""
     try:
         return metadata.version(library).partition("+")[0]
     except metadata.PackageNotFoundError:
@@ -90,9 +92,9 @@ def _version(library: str) -> str:
 
 
 def _kept() -> dict[str, Module]:
-    """What earlier processes have read, of any version of the modules."""
+    """What earlier processes have stored of the modules, whatever their versions."""
     try:
-        content = json.loads((_ROOT / _KEPT).read_bytes())
+        content = json.loads((sources.ROOT / _KEPT).read_bytes())
         return {name: Module(*values) for name, values in content.items()}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}  # there is none yet, or another version of this file has written it
@@ -102,58 +104,39 @@ def _keep(modules: dict[str, Module]) -> None:
     from p2wss.storage.files import write_text  # which imports pyarrow
 
     with suppress(InputError):  # the package is installed where nothing can be written
-        write_text(_ROOT / _KEPT, json.dumps(modules))
+        write_text(sources.ROOT / _KEPT, json.dumps(modules))
 
 
 def _read(name: str, known: Module | None) -> Module:
     """What counts of a module; ``known`` if that is of the present version."""
-    path = _source(name)
-    assert path is not None
-    source = path.read_bytes()
-    version = blake2b(source + _THIS_FILE, digest_size=16).hexdigest()
+    version = sources.digest(sources.modules()[name]).hex() + _OF_THIS_FILE
     if known is not None and known.version == version:
         return known
-    tree = ast.parse(source)
+    tree = ast.parse(sources.modules()[name].read_bytes())
     code: list[str] = []
     _write(tree, code)
-    digest = blake2b("".join(code).encode(), digest_size=16).hexdigest()
-    return Module(version, digest, _inside(tree))
+    return Module(version, blake2b("".join(code).encode(), digest_size=16).hexdigest(), _inside(tree))
 
 
 def _parts(name: str) -> list[str]:
-    """The module, and if it is a package its modules."""
-    path = _source(name)
-    if path is None or path.name != "__init__.py":
-        return [name]
-    modules = (file.relative_to(_ROOT).with_suffix("") for file in path.parent.rglob("*.py"))
-    return [".".join([PACKAGE, *module.parts]).removesuffix(".__init__") for module in modules]
+    """The name of the module; for a package, the names of all its modules."""
+    return [each for each in sources.modules() if f"{each}.".startswith(f"{name}.")] or [name]
 
 
 def _other_files(name: str) -> dict[str, str]:
     """Digests of the files of a folder that is no package, by their path within the package."""
-    folder = _path(name)
+    folder = sources.ROOT.joinpath(*name.split(".")[1:])
     if not folder.is_dir():
         raise ModuleNotFoundError(f"no module {name}")
     return {
-        file.relative_to(_ROOT).as_posix(): blake2b(file.read_bytes(), digest_size=16).hexdigest()
+        file.relative_to(sources.ROOT).as_posix(): sources.digest(file).hex()
         for file in sorted(folder.iterdir())
     }
 
 
-def _path(name: str) -> Path:
-    return _ROOT.joinpath(*name.split(".")[1:])
-
-
-@cache
-def _source(name: str) -> Path | None:
-    base = _path(name)
-    candidates = base / "__init__.py", base.with_name(f"{base.name}.py")
-    return next((path for path in candidates if path.is_file()), None)
-
-
 def _inside(tree: ast.Module) -> list[str]:
-    """Libraries, and names in this package, that are imported anywhere, inside functions included: modules, and what
-    is in them.
+    """Names of libraries and of this package that are imported anywhere, also inside functions: modules, and what is in
+    them.
 
     All imports are absolute.
     """
@@ -168,9 +151,9 @@ def _inside(tree: ast.Module) -> list[str]:
 
 
 def _write(node: object, code: list[str]) -> None:
-    """Append ``node`` to ``code`` as Type(field=value,..), without what is empty and without docstrings.
+    """Append ``node`` to ``code`` as Type(field=value,..), without empty fields and docstrings.
 
-    Not ``ast.dump``: what it writes of empty and optional fields differs between versions of Python.
+    ``ast.dump`` writes empty and optional fields differently in different versions of Python.
     """
     if isinstance(node, list):
         for item in node:

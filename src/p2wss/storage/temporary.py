@@ -1,4 +1,4 @@
-"""Temporary files and folders, named so that those of killed processes can be recognised and removed."""
+"""Temporary files and folders, with names that tell which of them are left from killed processes and can be removed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def remove_leftovers(folder: Path) -> None:
                 continue
             with suppress(OSError):  # another process may be tidying too
                 age_s = time.time() - entry.stat(follow_symlinks=False).st_mtime
-                # of a process of another computer, only its age tells
+                # whether a process on another host still runs is unknown: only the age of its file tells
                 is_left = age_s > _ABANDONED_S
                 if match["host"] == _host():
                     is_left = not is_running(int(match["process"]))
@@ -57,7 +57,7 @@ def remove_leftovers(folder: Path) -> None:
 def temporary_folder(stem: str, parent: str | Path | None = None) -> Iterator[Path]:
     """A hidden folder in ``parent``, or where the system keeps temporary files; it is removed at the end of the block.
 
-    Those that killed processes left there are removed too.
+    Such folders of killed processes in ``parent`` are removed, too.
     """
     parent = Path(parent or tempfile.gettempdir())
     remove_leftovers(parent)
@@ -78,7 +78,7 @@ def is_running(process: int) -> bool:
 
 @cache
 def _host() -> str:
-    """Eight digits that identify host, boot and container, within which numbers of processes are unique."""
+    """Eight hexadecimal digits that identify host, boot and container, within which process ids are unique."""
     parts = [socket.gethostname()]
     for path in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):
         with suppress(OSError):
@@ -89,10 +89,10 @@ def _host() -> str:
 
 
 class Closeable:
-    """What is closed at the end of a ``with`` block, also by an error."""
+    """Base of objects that a ``with`` block closes at its end, also after an error."""
 
     def close(self) -> None:
-        """Release what it holds; it cannot be used afterwards."""
+        """Release all resources; the object cannot be used afterwards."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:

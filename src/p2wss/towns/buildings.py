@@ -1,4 +1,4 @@
-"""A building as it is generated: wings with simple roofs, independent of the kernel, so that they can test it."""
+"""A drawn building: wings with simple roofs. It is independent of the kernel, so that it can test the kernel."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Wing:
         ""  # what a model of the building leaves out: a chimney, a parapet, ..; "shaft" is open above
     )
     seen_as: int = BUILDING_CLASS  # the class of its points
-    seen_share: float = 1.0  # of its points, those that the scanner records
+    seen_share: float = 1.0  # share of its points that the scanner records
 
     def planes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The planes that rise from edges: points (p, 2), unit vectors of the edges (p, 2), metres above the eave at
@@ -46,7 +46,7 @@ class Wing:
 
     @property
     def ridge_m(self) -> float:
-        """The highest of the centre and the corners, above the ground."""
+        """The highest roof point among the centre and the corners, metres above the ground."""
         return float((self.eave_m + self.rise_m(np.vstack([self.outline.mean(axis=0), self.outline]))).max())
 
 

@@ -27,8 +27,8 @@ USAGE = {
     "annex": "Annexe",
 }
 
-# probabilities: that a height is null or 0, that a building without a height states those of its roof, that a building
-# with storeys states their number, that its vertices have no Z, and that an annex is of light construction
+# probabilities: a height is null; a height is 0; a building without a height states the heights of its roof; a building
+# with storeys states their number; its vertices have no Z; an annex is of light construction
 _WITHOUT_HEIGHT, _ZERO_HEIGHT, _ROOF_WITHOUT_HEIGHT = 0.08, 0.01, 0.4
 _WITH_FLOORS, _WITHOUT_Z, _LIGHT = 0.7, 0.04, 0.5
 
@@ -121,7 +121,7 @@ def _row(index: int, building: DrawnBuilding, rng: np.random.Generator) -> tuple
 
 
 def _with_blemishes(outline: shapely.Polygon, rng: np.random.Generator) -> shapely.Polygon:
-    """Some outlines get a vertex in the middle of an edge, or a vertex twice."""
+    """The outline; for some buildings with an additional vertex in the middle of an edge, or with a repeated vertex."""
     chance = rng.random()
     if chance > 0.12:
         return outline

@@ -19,7 +19,7 @@ _DRAW = {
     "houses": draw_houses,
     "halls": draw_hall,
 }
-# up to which distance from the centre, and what its blocks are
+# distance from the centre in metres, and shares of the kinds of blocks up to it
 _SHARES = (
     (190, {"closed": 0.6, "courtyard": 0.15, "rows": 0.2, "halls": 0.05}),
     (400, {"closed": 0.1, "rows": 0.5, "houses": 0.28, "halls": 0.05, "park": 0.07}),
@@ -40,7 +40,8 @@ def draw_town(rng: np.random.Generator) -> list[DrawnBuilding]:
 
 
 def _has_room(footprint: shapely.geometry.base.BaseGeometry) -> bool:
-    """Inside the region; in the LiDAR tile only near the centre and not where its cloud ends."""
+    """Whether a footprint lies inside the region and, in the LiDAR tile, near the centre and away from the edge of the
+    cloud."""
     if footprint.geom_type != "Polygon" or not footprint.is_valid:
         return False
     is_inside = shapely.box(X_MIN + 6, Y_MIN + 6, X_MAX - 6, Y_MAX - 6).contains(footprint)

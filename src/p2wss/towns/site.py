@@ -25,5 +25,5 @@ def ground_z_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def in_lidar_tile(geometry: shapely.Geometry) -> bool:
-    """Whether the geometry lies in the tile that :func:`~p2wss.towns.lidar.scan_town` surveys."""
+    """Whether the geometry lies in the tile for which ``benchmarks/drawn_towns`` draws LiDAR."""
     return bool(LIDAR_TILE.contains(geometry))

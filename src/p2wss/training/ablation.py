@@ -18,7 +18,8 @@ from p2wss.training.shards import load_dataset
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> pd.DataFrame:
     """Mean and standard deviation of absolute errors on the test split, with footprints known.
 
-    A row per model, which is named by its folder; all are measured on the buildings that each of them can take.
+    A row per model, named by the folder of its file. All models are measured on the buildings that every one of them
+    supports.
 
     Raises :class:`InputError` for an unusable manifest or model.
     """
@@ -38,6 +39,7 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
 
 
 def spreads(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and standard deviation between seeds of the variants trained with several: ``a``, ``a_seed_1`` and so on."""
+    """Mean and standard deviation over the seeds of each variant trained with several seeds: ``a``, ``a_seed_1`` and so
+    on."""
     errors = table.groupby(table["variant"].str.partition("_seed_")[0])[["height_mae_m", "angle_mae_deg"]]
     return errors.agg(["count", "mean", "std"]).dropna()

@@ -66,8 +66,8 @@ def lift_randomly(batch: Batch, lift_m: float) -> Batch:
 def occlude_randomly(batch: Batch, share: float, min_points: int) -> Batch:
     """Remove the points within a wedge, 10 to 60 degrees wide, from a ``share`` of the clouds.
 
-    The apex is one of the cloud's points, as if an obstacle stood there. Clouds of which fewer than ``min_points``
-    points would remain are not changed.
+    The apex is one of the cloud's points, as if an obstacle stood there. A cloud is not changed if fewer than
+    ``min_points`` points would remain.
     """
     num, device = len(batch.points), batch.points.device
     chosen = torch.rand(num, device=device) < share

@@ -15,13 +15,13 @@ from p2wss.config import Dvae, Model
 from p2wss.data.seeds import generator
 from p2wss.nets.batch import SEED_STRIDE, Batch, cut
 
-# batches are sorted by length within a window of so many batches, so that few positions are padding
+# buildings are sorted by length within a window of this many batches, so that little is padding
 _WINDOW_BATCHES = 8
 
 
 @dataclass(frozen=True)
 class TrainingLimits:
-    """What a building must satisfy to be trained on. Others are excluded and counted.
+    """What a building must satisfy to be trained on. Other buildings are excluded and counted.
 
     ``max_length_m`` bounds the eave height and the distance of vertices from the centroid of the cloud.
     """
@@ -43,13 +43,11 @@ def training_limits(config: Model, dvae_config: Dvae) -> TrainingLimits:
 class BuildingDataset:
     """Many buildings, ragged.
 
-    points_cm: int16 (num_points, 3), local. point_offset: int64 (n + 1,). ground_z_m: float32 (n,), local.
-    xy_m: float32 (num_vertices, 2), local exterior
-    rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i
-    leaves vertex i. height_m: float32 (n,), eave above ``ground_z_m``. num_excluded: buildings per reason.
-
-    num_on_building: int64 (n,): so many points of each cloud, the first ones, are on the building.
-    Without labels these are none, the rings are empty and the heights NaN.
+    points_cm: int16 (num_points, 3), local. point_offset: int64 (n + 1,). ground_z_m: float32 (n,), local. xy_m:
+    float32 (num_vertices, 2), local exterior rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg:
+    float32 (num_vertices,), edge i leaves vertex i. height_m: float32 (n,), eave above ``ground_z_m``. num_excluded:
+    buildings per reason. num_on_building: int64 (n,), how many points of each cloud are on the building; they are its
+    first points. Without labels this is 0, the rings are empty and the heights NaN.
     """
 
     points_cm: np.ndarray
@@ -82,7 +80,7 @@ class BuildingDataset:
         return self.angle_deg[self.vertex_offset[building] : self.vertex_offset[building + 1]]
 
     def sample(self, count: int) -> np.ndarray:
-        """At most ``count`` buildings, evenly from first to last, so that all regions of a data set are among them."""
+        """Indices of at most ``count`` buildings, evenly spaced, so that all regions of a data set are among them."""
         count = min(len(self), count)
         return np.arange(count) * len(self) // count
 
@@ -91,8 +89,8 @@ class BuildingDataset:
     ) -> Batch:
         """The buildings ``index`` as a padded batch on the CPU; clouds of more than ``num_points`` are thinned.
 
-        ``seed`` selects the points to keep, for each building independently; without a seed the selection
-        depends on the size of the cloud only. on_building: bool (b,), of which only points on the building are used.
+        ``seed`` selects the points to keep, for each building independently; without a seed the selection depends on
+        the size of the cloud only. on_building: bool (b,), the buildings of which only points on the building are used.
         """
         num_all = np.diff(self.point_offset)[index]
         if on_building is not None:
@@ -119,7 +117,7 @@ class BuildingDataset:
 class BatchSampler:
     """Which buildings the batch of each step holds: a function of (seed, step) alone.
 
-    An epoch visits every building once; the remainder that fills no batch waits for the next epoch.
+    An epoch visits every building once, except the remainder that fills no batch.
     """
 
     def __init__(self, num_vertices: np.ndarray, batch_size: int, seed: int) -> None:
@@ -149,6 +147,6 @@ def similar_length_batches(
     for first in range(0, len(order), window_size):
         window = order[first : first + window_size]
         window = window[np.argsort(num_vertices[window], kind="stable")]
-        # random within a batch: the auxiliary losses are those of its first rows
+        # random within a batch, as the auxiliary losses use its first rows
         batches += [rng.permutation(batch) for batch in np.split(window, len(window) // batch_size)]
     return [batches[i] for i in rng.permutation(len(batches))]

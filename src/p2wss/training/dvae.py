@@ -45,7 +45,7 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
         identity = {
             "stage": "dvae",
             "config": loop.training_config(config),
-            "num_steps": config.optimiser.num_steps,  # of which temperature and KL weight follow the elapsed share
+            "num_steps": config.optimiser.num_steps,  # temperature and KL weight follow the elapsed share
             "data": files.sha256(manifest),
         }
         loop.train(task, plan, checkpoints, identity, code)

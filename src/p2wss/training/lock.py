@@ -12,16 +12,17 @@ from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 
-# a training whose Snakemake was killed stops at its next step: this long, the one that follows waits for it
+# a training whose Snakemake was killed stops at its next step; the following training waits for it this long
 _PATIENCE_S = 60.0
 
 
 @contextmanager
 def training_lock(checkpoints: Path, patience_s: float = _PATIENCE_S) -> Iterator[None]:
-    """Hold the folder of a training, by a file beside it. The lock ends with the process, however that ends.
+    """Hold the folder of a training, by a file beside it. The lock ends with the process, however the process ends.
 
-    Of several processes of a training the main one holds it. For a training that runs there this waits a little,
-    because it may be about to stop. Raises :class:`InputError` if it goes on, or if the file cannot be written.
+    If a training has several processes, the main one holds the lock. If another training holds the folder, this waits
+    for ``patience_s``, as that training may be about to stop. Raises :class:`InputError` if it goes on, or if the file
+    cannot be written.
     """
     if not distributed.is_main_process():
         yield
@@ -42,7 +43,7 @@ def training_lock(checkpoints: Path, patience_s: float = _PATIENCE_S) -> Iterato
     try:
         yield
     finally:
-        # before the next training begins; only an empty folder
+        # while no other training can begin; removes the folder only if it is empty
         with suppress(OSError):
             checkpoints.rmdir()
         path.unlink(missing_ok=True)

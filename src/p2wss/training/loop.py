@@ -29,7 +29,7 @@ from p2wss.storage.temporary import is_running
 from p2wss.training.state import TrainingState, learning_rate, num_steady_steps
 
 METRICS_EVERY_STEPS = 20
-# the process of the Snakemake that started this one, see workflow/rules/common.smk
+# environment variable with the process of the Snakemake that started this one, see workflow/rules/common.smk
 WORKFLOW_VARIABLE = "P2WSS_WORKFLOW_PROCESS"
 
 
@@ -50,23 +50,23 @@ class Task(Protocol):
         """The network."""
 
     def load(self, step: int) -> Any:
-        """What the host prepares for ``step``: in another thread, while the step before is taken."""
+        """What the host prepares for ``step``, in another thread during the step before."""
 
     def step(self, step: int, loaded: Any) -> dict[str, Tensor]:
         """Losses of the batch of ``step``; the one named ``loss`` is minimised, the others are logged."""
 
     def validate(self, module: nn.Module) -> dict[str, float]:
-        """Measures on held-out data of ``module``."""
+        """Measures of ``module`` on held-out data."""
 
 
 def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], code: str) -> nn.Module:
     """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return it.
 
-    Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of
-    the same ``identity`` (config, data; JSON values), training resumes there; one of another identity is
-    discarded. The fingerprint ``code`` is only recorded in the metrics, wherever it changes: an edit that changes no
-    result costs no training. On SIGTERM, or when the Snakemake that started it was killed, a checkpoint is written and
-    the process exits with status 0. Of several processes (see :mod:`distributed`) the main one writes. Raises
+    Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of the same
+    ``identity`` (config, data; JSON values), training resumes there; checkpoints of another identity are discarded. The
+    fingerprint ``code`` is only recorded in the metrics, where it changes: an edit of the code that changes no result
+    costs no training. On SIGTERM, or when the Snakemake that started it was killed, a checkpoint is written and the
+    process exits with status 0. Of several processes (see :mod:`distributed`) the main one writes. Raises
     :class:`InputError` when the loss is no longer finite.
     """
     num_steps = plan.optimiser.num_steps
@@ -111,7 +111,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any], c
 def training_config(config: Section) -> dict[str, Any]:
     """The config without the settings that may differ between a run and the one that resumes it.
 
-    For how many steps a checkpoint was made is compared by :meth:`TrainingState.resume`.
+    :meth:`TrainingState.resume` compares the number of steps.
     """
     exclude: Any = {
         "compute": {"device", "num_gpus", "compile"},
@@ -122,7 +122,7 @@ def training_config(config: Section) -> dict[str, Any]:
 
 
 def _gradients(task: Task, plan: Plan, step: int, loaded: Any) -> dict[str, Tensor]:
-    """The gradients of a step. Returns the losses, which are numbers."""
+    """Compute the gradients of a step. Returns its scalar losses, detached."""
     # processes must not draw the same noise for different rows
     names = [distributed.rank()] if distributed.num_processes() > 1 else []
     torch.manual_seed(derive_seed(plan.seed, "step", step, *names))
@@ -139,7 +139,7 @@ def _validate(task: Task, plan: Plan, step: int) -> dict[str, float]:
     torch.manual_seed(derive_seed(plan.seed, "validate", step))
     module = task.module
     module.eval()
-    # batches of other sizes, for which compiled parts would be compiled again
+    # batches have other sizes here, for which compiled parts would be compiled again
     with torch.no_grad(), torch.compiler.set_stance("force_eager"):
         measures = task.validate(module)
     log.info("step %d: %s", step, ", ".join(f"{name} {value:.4g}" for name, value in measures.items()))
@@ -147,8 +147,8 @@ def _validate(task: Task, plan: Plan, step: int) -> dict[str, float]:
 
 
 def _any_process_stops(stops: bool, step: int) -> bool:
-    """Whether any process is to stop. They ask one another only when metrics are due, because
-    GPUs have to wait for the answer."""
+    """Whether any process is to stop. The processes exchange this only when metrics are due, because GPUs have to wait
+    for it."""
     if distributed.num_processes() == 1:
         return stops
     if step % METRICS_EVERY_STEPS:

@@ -22,7 +22,8 @@ from p2wss.nets.tokenizer import (
 
 
 def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
-    """bool (b, g): a random valid patch and its nearest neighbours; a share drawn from ``ratio`` (Point-BERT)."""
+    """bool (b, g): a random valid patch and its nearest neighbours, a share of the patches drawn from ``ratio``
+    (Point-BERT)."""
     valid = patches.valid
     batch = len(valid)
     device = valid.device
@@ -38,14 +39,13 @@ def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
 def mask_parameters(
     tokenizer: Tokenizer, parameters: Quantised, tokens: Tensor, settings: Masking
 ) -> tuple[Tensor, Tensor]:
-    """What the network gets of the ``tokens`` (b, l) of canonical ``parameters``, int64 (b, l), and which of them it
-    has to predict, bool (b, l).
+    """(what the network reads in place of ``tokens``, int64 (b, l); which tokens it has to predict, bool (b, l)).
 
-    Each sample has one of four patterns, drawn with the given shares. Inference pattern: all digits of height and
-    angles are masked. Table-1 pattern: all digits. Disturbed pattern: all digits are to be predicted, but instead of
-    masks the network gets misplaced coordinates, with their true signs. Random pattern, for the rest: each token but
-    [start] and [end] with a probability drawn per sample from ``random_ratio``. The paper's masking has shares of 0
-    and a ratio of (0.3, 0.3).
+    tokens: (b, l), of canonical ``parameters``. Each sample has one of four patterns, drawn with the given shares.
+    Inference pattern: all digits of height and angles are masked. Table-1 pattern: all digits. Disturbed pattern: all
+    digits are to be predicted, but the coordinates are misplaced instead of masked, with their true signs. Random
+    pattern, for the remaining share: each token but [start] and [end] with a probability drawn per sample from
+    ``random_ratio``. The paper's masking has shares of 0 and a ratio of (0.3, 0.3).
     """
     kind = tokenizer.kinds(tokens.shape, parameters.num_vertices)
     shares = torch.tensor([settings.inference_share, settings.table1_share, settings.disturbed_share])
@@ -66,8 +66,8 @@ def mask_parameters(
 
 
 def disturb(parameters: Quantised, tokenizer: Tokenizer, largest_m: float) -> Quantised:
-    """The same with Gaussian noise on the sizes of all coordinates; of each sample, its standard deviation is drawn
-    from 0 to ``largest_m``. Signs stay."""
+    """The parameters with Gaussian noise on the sizes of all coordinates, whose signs stay. The standard deviation of
+    each sample is drawn from 0 to ``largest_m``."""
     xy = parameters.xy
     sigma = largest_m * 10**tokenizer.coord_decimals * torch.rand(len(xy), 1, 1, device=xy.device)
     noise = torch.round(sigma * torch.randn(xy.shape, device=xy.device)).long()

@@ -1,7 +1,7 @@
 """Stage model: train Point2WSS (paper, sections 4 and 5.2).
 
-Heights are those of the eave above the ground as estimated from the cloud (``ground_z_m`` of the crops), because
-inference has no other ground; labels, which refer to the terrain of the simulation, are converted.
+Heights are eave heights above the ground as estimated from the cloud (``ground_z_m`` of the crops), because inference
+has no other ground; labels, which refer to the terrain of the simulation, are converted.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class ModelTask:
                 compute.compile_parts(network, (Block, MiniPointNet, Dgcnn))
         self.training_set = training_set
         self.validation_set = validation_set
-        # of equal lengths, all are similar
+        # with all lengths 0, any buildings count as similar
         lengths = training_set.num_vertices * config.similar_lengths
         self.sampler = BatchSampler(lengths, config.optimiser.batch_size, config.seed)
         self.median_height = float(np.median(training_set.height_m))
@@ -98,13 +98,13 @@ class ModelTask:
         config, dvae_config = self.config, self.module.dvae_config
         seed = derive_seed(config.seed, "model", "points", step)
         whole = self.sampler.batch(step)
-        # drawn for the whole batch: the rows of a process are not to be drawn as those of another
+        # drawn for the whole batch, so that the processes do not repeat the same draws
         drawn = generator(seed).random(len(whole)) < config.augmentation.on_building_share
         index, on_building = distributed.shard(whole), distributed.shard(drawn)
         on_building &= self.training_set.num_on_building[index] >= dvae_config.min_points
         num_vertices = self.training_set.num_vertices[index]
         groups = []
-        # the auxiliary losses are those of the first rows, which may not be those of few vertices
+        # with other shares the auxiliary losses use only the first rows, which must not always have few vertices
         if config.auxiliary_share in (0, 1):
             order = np.argsort(num_vertices, kind="stable")
             index, on_building, num_vertices = index[order], on_building[order], num_vertices[order]
@@ -159,10 +159,10 @@ class ModelTask:
 def prediction_errors(
     predictor: Point2WssPredictor, dataset: BuildingDataset, index: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Signed errors of heights (n,) in m and angles (edges,) in degrees, of labelled buildings whose footprint is
-    known."""
+    """Signed errors of heights (n,) in m and of angles (edges,) in degrees, for the labelled buildings ``index`` with
+    known footprints."""
     ground_m = [np.array([0, 0, dataset.ground_z_m[i]]) for i in index]
-    # as in a reconstruction, a network that learnt from the points on buildings gets these
+    # a network trained on the points on buildings gets these points, as in a reconstruction
     num_points = dataset.num_on_building * predictor.on_building
     num_points = np.where(num_points > 0, num_points, np.diff(dataset.point_offset))[index]
     clouds = [
@@ -178,7 +178,7 @@ def prediction_errors(
 
 
 def length_groups(num_vertices: np.ndarray, tokenizer: Tokenizer) -> list[Group]:
-    """Groups of ascending ``num_vertices`` (b,), so that little is padding: up to 4, 8, 16 and so on."""
+    """Groups of rows with ascending ``num_vertices`` (b,): up to 4, 8, 16 and so on, so that little is padding."""
     bucket = np.maximum(np.ceil(np.log2(num_vertices)), 2)
     start = np.flatnonzero(np.diff(bucket, prepend=0))
     stop = [*start[1:], len(bucket)]
@@ -191,8 +191,8 @@ def length_groups(num_vertices: np.ndarray, tokenizer: Tokenizer) -> list[Group]
 def augment_batch(batch: Batch, settings: Augmentation, min_points: int, reach_m: float) -> Batch:
     """The random augmentations of the config, and the paper's rotation; the result is centred.
 
-    A building that would have a vertex farther than ``reach_m`` from the centroid, as where the points that remain
-    are at one of its ends, is only rotated and jittered.
+    A building is only rotated and jittered if it would have a vertex farther than ``reach_m`` from the centroid, for
+    instance because the remaining points are at one of its ends.
     """
     plain = centre(batch)
     if settings.keep_points != (1, 1):

@@ -1,4 +1,4 @@
-"""From the shards that a manifest of crops lists to a dataset whose points are in a temporary file."""
+"""Read the shards that a manifest of crops lists into a dataset whose points are in a temporary file."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ def load_dataset(
     """Buildings of the ``splits`` from the shards that ``manifest`` lists.
 
     ``include_real`` adds real LiDAR, which has no labels, to an unlabelled dataset. The points are mapped from a file
-    without a name on the disk of ``folder``, or where the system keeps temporary files: those of no more than one shard
-    are ever in memory. Raises :class:`InputError` for a broken manifest or shard, a full disk, or when no building
-    remains.
+    without a name on the disk of ``folder``, or where the system keeps temporary files: no more than the points of one
+    shard are ever in memory. Raises :class:`InputError` for a broken manifest or shard, a full disk, or when no
+    building remains.
     """
     listing = read_manifest(manifest)
     excluded: Counter[str] = Counter()
@@ -92,7 +92,7 @@ def load_dataset(
 
 
 def describe(dataset: BuildingDataset) -> str:
-    """One line for the log."""
+    """Numbers of buildings, points and exclusions in one line for the log."""
     text = f"{len(dataset)} buildings, {len(dataset.points_cm)} points"
     return text + (f"; excluded: {_counts(dataset.num_excluded)}" if dataset.num_excluded else "")
 
@@ -154,7 +154,8 @@ def _read_shard(
             above_m = 0.01 * points_cm[cloud] - [0.0, 0.0, ground[i]]
             is_on = points_on_building(shapely.Polygon(ring), above_m, classes[cloud])
             points_cm[cloud] = points_cm[cloud][np.argsort(~is_on, kind="stable")]
-            # alone, those at one end of a large building would put its other end too far away
+            # not if the centroid of these points alone is too far from a vertex, as with points at one end of a large
+            # building
             if is_on.any() and _reach_m(ring, points_cm[cloud][: is_on.sum()]) < limits.max_length_m:
                 num_on_building[i] = is_on.sum()
     return BuildingDataset(
@@ -180,7 +181,7 @@ def _floats(table: Any, name: str) -> np.ndarray:
 
 
 def _offsets(lengths: np.ndarray) -> np.ndarray:
-    """int64 (n + 1,): where each row begins, from the lengths of rows."""
+    """int64 (n + 1,): the start of each row, from the lengths of the rows."""
     return np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
 
 

@@ -40,7 +40,8 @@ class TrainingState:
         self.optimiser.step()
 
     def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
-        """Write the metrics and a checkpoint after ``step`` steps, and remove old ones; the main process does."""
+        """Write the metrics and a checkpoint after ``step`` steps, and remove old checkpoints. Only the main process
+        does so."""
         if distributed.rank():
             return
         files.write_text(folder / METRICS_NAME, "".join(json.dumps(line) + "\n" for line in self.metrics))
@@ -62,10 +63,11 @@ class TrainingState:
             _checkpoints(folder)[old].unlink()
 
     def resume(self, folder: Path, identity: dict[str, Any]) -> int:
-        """Load the latest readable checkpoint of this ``identity`` and return its step; without one, return 0
-        and remove the checkpoints of anything else.
+        """Load the latest readable checkpoint of this ``identity`` and return its step; without one, return 0 and
+        remove all checkpoints.
 
-        A training of another length is continued from a step before the learning rate of either begins to fall.
+        A training of another length is continued from a step before the learning rate of either training begins to
+        fall.
         """
         for step, path in sorted(_checkpoints(folder).items(), reverse=True):
             if not integrity.is_usable(path):
@@ -98,7 +100,7 @@ class TrainingState:
 
 
 def num_steady_steps(settings: Optimiser) -> int:
-    """After how many steps the learning rate begins to fall; 0 for a cosine decay, of which it follows the whole
+    """Number of steps before the learning rate begins to fall; 0 for a cosine decay, which depends on the whole
     length."""
     return max(settings.num_steps - settings.ramp_steps, 0) if settings.ramp_steps else 0
 

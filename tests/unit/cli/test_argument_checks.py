@@ -99,6 +99,7 @@ WRONG = [
         "cityjson, gpkg cannot hold a terrain; add a mesh format",
     ),
     ("cloud.laz", "footprints.gpkg", ["--outputs", "gbl"], "(did you mean glb?)"),
+    ("cloud.laz", "footprints.gpkg", ["--outputs", "geopackage"], "(did you mean gpkg?)"),
     (
         "cloud.laz",
         "footprints.gpkg",

@@ -97,7 +97,7 @@ REST = ["--checkpoints", "c", "--out-metrics", "m"]
 def test_reconstruction_imports_nothing_of_the_extras() -> None:
     # None: an import of it fails
     blocked = f"import sys; sys.modules.update(dict.fromkeys({[*EXTRAS]}))"
-    modules = "reconstruction.scene", "reconstruction.outputs.exports", "formats.outputs", "eval.files"
+    modules = "reconstruction.run", "reconstruction.outputs.exports", "formats.outputs", "eval.files"
     imports = "\n".join(f"import p2wss.{module}" for module in modules)
     subprocess.run([sys.executable, "-c", f"{blocked}\n{imports}"], check=True)
 

@@ -232,6 +232,14 @@ def test_the_crs_that_the_user_states_overrides_the_file(caplog: pytest.LogCaptu
     assert common_crs(stated, None, "EPSG:2154", ("a.laz", ""))[0] == stated
     in_feet = pyproj.CRS("EPSG:2154+8228")
     assert common_crs(stated, None, "EPSG:2154+8228", ("a.laz", ""))[0] == in_feet
+    above_ellipsoid = pyproj.CRS("EPSG:4979")
+    assert common_crs(above_ellipsoid, None, "EPSG:4326", ("a.laz", ""))[0] == above_ellipsoid
+
+
+def test_a_run_is_in_the_crs_of_epsg_whatever_states_it_in_wkt_1() -> None:
+    expected = pyproj.CRS.from_epsg(3006)  # northings first, of which WKT 1 says nothing
+    metric, note = metric_crs(pyproj.CRS(expected.to_wkt("WKT1_GDAL")), None, "a.laz")
+    assert metric.crs == expected and metric.is_source and note is None
 
 
 def test_clouds_in_degrees_get_a_zone_of_utm() -> None:

@@ -20,6 +20,7 @@ from places import SHARED
 from yard_house import YARD_M2, yard_house
 
 from p2wss import skeleton
+from p2wss.footprints.vector_files import file_of
 from p2wss.formats import cityjson, cityjson_read
 from p2wss.formats.cityjson import Solid
 from p2wss.mesh import Mesh
@@ -397,7 +398,8 @@ def test_the_plan_of_a_building_is_its_footprint(name: str, tmp_path: Path) -> N
     path.write_text("".join(cityjson.document_pieces([solid], cityjson.Metadata(2154))))
     plans = cityjson_read.plans(path)
     assert cityjson_read.is_cityjson(path) and plans.crs == 2154
-    assert plans.equals(as_footprints(path)), "a run takes them"
+    taken = as_footprints(path)
+    assert plans.equals(taken) and file_of(taken) == str(path), "a run takes them, and messages name the file"
     assert plans.building_id.tolist() == [name] and "status" in plans and "sizes" not in plans
     rings = [np.add(ring, [652000.25, 6861000.5]) for ring in CASES[name][0]]
     assert plans.geometry[0].symmetric_difference(shapely.Polygon(rings[0], rings[1:])).area < 0.1

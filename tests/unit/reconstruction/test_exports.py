@@ -17,6 +17,7 @@ import sionna_scene
 import trimesh
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
+import p2wss
 from p2wss.cli import inspection
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data.terrain import Terrain
@@ -275,3 +276,20 @@ def test_a_file_that_cannot_be_written_leaves_the_others_whole(results: list[Res
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(outputs=["stl", "obj", "ply"]))
     assert sorted(os.listdir(tmp_path)) == ["out.mtl", "out.obj", "out.stl"]
     assert trimesh.load_mesh(tmp_path / "out.stl").is_watertight
+
+
+@pytest.mark.parametrize(("gap_m", "doubts"), [(0.5, {}), (3.0, {"mostly-unseen": 1})])
+def test_a_building_of_which_less_than_half_is_seen_is_to_be_checked(
+    gap_m: float, doubts: dict[str, int], tmp_path: Path
+) -> None:
+    x, y = np.random.default_rng(0).uniform(-5, 15, (2, 6000))
+    is_roof = (np.abs(x - 5) < 5) & (np.abs(y - 5) < 5)
+    points = np.column_stack([x, y, np.where(is_roof, 6.0, 0.0), np.where(is_roof, 6, 2)])
+    # patches of 1 m
+    points = points[~is_roof | ((x % (1 + gap_m) < 1) & (y % (1 + gap_m) < 1))]
+    footprints = gpd.GeoSeries([shapely.box(0, 0, 10, 10)], crs=28992).translate(85000, 447000)
+    points[:, :2] += 85000, 447000
+    config = {"reconstruct": {"registration": "never"}}  # which has a flag for most of these
+    with p2wss.reconstruct(points, footprints, model="none", config=config, progress=False) as scene:
+        counts = files.read_json(scene.write(tmp_path, ["gpkg"])[-1], dict)["buildings"]
+    assert counts["status"] == {"ok": 1} and counts["doubts"] == doubts

@@ -233,6 +233,15 @@ def test_a_terrain_above_the_ellipsoid_at_the_sea_is_not_of_another_unit_alone(
     assert ("as the ellipsoid is from the sea, or" in str(error.value)) == is_of_ellipsoid
 
 
+def test_slender_parts_that_points_show_are_no_houses_in_feet() -> None:
+    unknown, num = np.full(5, np.nan), np.full(5, 100.0)
+    sample = plausibility.Sample(
+        unknown, np.full(5, 18.0), np.full(5, 8.0), unknown, unknown, num, unknown, np.zeros(2)
+    )
+    assert "state --height-unit ft" in plausibility.odd_houses(sample, 1.0, "")
+    assert not plausibility.odd_houses(sample, 1.0, "", are_mapped=False)
+
+
 def test_unstated_feet_are_named_where_footprints_state_heights(tmp_path: Path) -> None:
     cloud = houses.write_cloud(tmp_path / "c.laz", UTM, height_unit_m=FOOT)
     known = houses.footprints(UTM, height=[8.36, 6.0])

@@ -13,10 +13,12 @@ import pytest
 from places import SHARED
 
 from p2wss.clouds.reading import Cloud, read_clouds
-from p2wss.data.las_classes import LAS, PRESETS, class_set
+from p2wss.data.las_classes import BUILDING_CLASS, LAS, PERHAPS_ROOF_CLASS, PRESETS, class_set
+from p2wss.reconstruction.points.own_points import own_classes
 from p2wss.reconstruction.points.unclassified import (
     filled,
     ground_z_m,
+    warnings_of_unknown,
     with_classes,
     with_missed_buildings,
 )
@@ -70,6 +72,36 @@ def test_roofs_are_found_and_trees_and_ground_are_not(has_ground: bool) -> None:
         is_ground = result.classification == 2
         assert (is_ground & (truth == 2)).sum() / (truth == 2).sum() > 0.98
         assert (is_ground & (truth != 2)).sum() / is_ground.sum() < 0.01
+
+
+def test_in_a_footprint_points_of_a_sparse_roof_are_roof_that_beside_it_may_be_plants() -> None:
+    draw = np.random.default_rng(1)
+    x, y = draw.uniform(0, 40, (2, 40 * 40 * 2))
+    # ridges every 5 m: most neighbourhoods of 12 points have several slopes
+    house = (np.abs(x - 20) < 5) & (np.abs(y - 20) < 8)
+    tree = np.hypot(x - 33, y - 33) < 5
+    z = np.where(
+        house, 9 - 0.73 * np.abs((x - 15) % 5 - 2.5), np.where(tree, draw.uniform(3, 9, len(x)), 0.0)
+    )
+    cloud, _ = with_classes(Cloud(x, y, z + draw.normal(0, 0.02, len(x)), np.zeros(len(x), np.uint8), None))
+    is_roof = np.isin(cloud.classification, (BUILDING_CLASS, PERHAPS_ROOF_CLASS))
+    assert is_roof[house].mean() > 0.9 > 0.75 > (cloud.classification[house] == BUILDING_CLASS).mean()
+    assert (cloud.classification[tree] == BUILDING_CLASS).mean() < 0.05
+    ring = np.array([[15, 12], [25, 12], [25, 28], [15, 28.0]])
+    point_m = np.column_stack([x, y, cloud.z_m])
+    of_house = own_classes([ring], point_m, cloud.classification)
+    assert (of_house[house] == BUILDING_CLASS).mean() > 0.9 and not (of_house[tree] == BUILDING_CLASS).any()
+
+
+def test_many_points_of_classes_without_a_meaning_are_told() -> None:
+    counts = np.zeros(256, int)
+    counts[[2, 6, 19, 20]] = 5, 40, 50, 5
+    (warning,) = warnings_of_unknown(counts)
+    assert warning.startswith(
+        "55% of the points have class 19, 20, read as neither ground, building nor plants"
+    )
+    counts[19] = 5
+    assert warnings_of_unknown(counts) == [] == warnings_of_unknown(np.zeros(256, int))
 
 
 def test_classes_of_the_producer_stay() -> None:
@@ -160,6 +192,10 @@ def test_delft_without_its_classes() -> None:
     assert (truth & is_roof).sum() / truth.sum() > 0.75
     assert (truth & is_roof).sum() / is_roof.sum() > 0.88
     assert (truth & (result.classification == 2)).sum() / truth.sum() < 0.01
+
+
+def test_our_own_class_is_of_no_file() -> None:
+    assert LAS.to_las(np.array([PERHAPS_ROOF_CLASS, 5], np.uint8))[0].tolist() == [1, 5]
 
 
 def test_presets_of_producers() -> None:

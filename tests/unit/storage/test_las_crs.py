@@ -58,6 +58,28 @@ def test_heights_in_feet_however_they_are_stated(wkt: str | None, keys: dict[int
     assert length_m == pytest.approx(houses.SURVEY_FOOT_M, rel=1e-9) and num_doubts == 0
 
 
+@pytest.mark.parametrize("kind", ["WKT1_GDAL", "WKT1_ESRI", "WKT2_2019"])
+@pytest.mark.parametrize("code", [3006, 2193, 2180, 6677, 31467, 5845])
+def test_a_plane_with_northings_first_is_that_of_epsg(code: int, kind: str) -> None:
+    expected = pyproj.CRS.from_epsg(code)
+    wkt = expected.to_wkt(kind)  # WKT 1 states eastings first
+    found = stated_crs(houses.header(wkt)).crs
+    assert found == expected and same_crs(pyproj.CRS(wkt), expected)
+
+
+def test_with_a_shift_to_another_datum_too() -> None:
+    plane = pyproj.CRS.from_epsg(3006)
+    datum = ',AUTHORITY["EPSG","6619"]]'
+    wkt = plane.to_wkt("WKT1_GDAL").replace(datum, f",TOWGS84[0,0,0,0,0,0,0]{datum}")
+    assert pyproj.CRS(wkt).is_bound and stated_crs(houses.header(wkt)).crs == plane
+
+
+def test_a_code_that_a_definition_contradicts_is_not_taken() -> None:
+    wkt = pyproj.CRS.from_epsg(3006).to_wkt("WKT1_GDAL").replace("500000", "1500000")
+    found = stated_crs(houses.header(wkt)).crs
+    assert found == pyproj.CRS(wkt) and not same_crs(found, pyproj.CRS.from_epsg(3006))
+
+
 def test_heights_without_a_unit_state_none() -> None:
     assert stated(houses.header(keys={3072: 26910})) == (PLANE.name, None, 0)
     # codes of ellipsoids in GeoTIFF 1.0 are no vertical CRS of EPSG

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import p2wss
-from p2wss.storage import provenance
+from p2wss.storage import provenance, sources
 from p2wss.storage.provenance import fingerprint
 
 PACKAGE = Path(p2wss.__file__).parent
@@ -40,7 +40,7 @@ def copy(tmp_path: Path) -> tuple[Path, Callable[[str], str]]:
 @pytest.fixture
 def digest_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
     """A function that fingerprints a stage whose module holds the given code."""
-    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
 
     def digest(code: str) -> str:
         (tmp_path / "stage.py").write_text(code)
@@ -53,7 +53,8 @@ def digest_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str]
 
 def forget() -> None:
     """As in a new process."""
-    provenance._source.cache_clear()
+    sources.modules.cache_clear()
+    sources.digest.cache_clear()
     provenance.fingerprint.cache_clear()
 
 
@@ -247,7 +248,7 @@ def test_a_version_of_a_module_is_parsed_once(
     copy: tuple[Path, Callable[[str], str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root, _ = copy
-    monkeypatch.setattr(provenance, "_ROOT", root)
+    monkeypatch.setattr(sources, "ROOT", root)
     parse, texts = ast.parse, []
 
     def counted(text: bytes, *arguments: str) -> ast.Module:

@@ -8,8 +8,8 @@ from p2wss.mesh.surface import topmost
 
 
 def height_rmse_m(point_m: np.ndarray, corner_m: np.ndarray) -> float:
-    """Root mean square of the heights of points (n, 3) above the topmost triangle at their place; points beside the
-    mesh are left out, and without any other it is NaN.
+    """Root mean square of the heights of points (n, 3) above the topmost triangle at their place. Points beside the
+    mesh are left out; NaN if no other point is left.
 
     corner_m: of the triangles (t, 3, 3), counter-clockwise seen from outside.
 

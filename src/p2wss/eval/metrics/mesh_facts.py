@@ -14,8 +14,8 @@ _SEVERAL_PARTS = 305
 
 
 class MeshFacts(NamedTuple):
-    """watertight: every edge has two triangles. manifold: these run through it in opposite directions, too, and the
-    triangles at each vertex form one fan."""
+    """watertight: every edge has two triangles. manifold: moreover, the two triangles run along the edge in opposite
+    directions, and the triangles at each vertex form one fan."""
 
     watertight: bool
     manifold: bool

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT, unit_normals
 
-# an edge is a true one within this distance
+# an edge counts as true within this distance of a true edge
 NEAR_M = 0.5
 SPACING_M = 0.1
 # vertices on one cell of this grid are one corner; vertical part of the normal of a wall
@@ -19,8 +19,8 @@ _WELD_M, _WALL_NZ = 0.05, 0.05
 
 @dataclass(frozen=True)
 class RoofEdges:
-    """The edges around the roof faces of a mesh. corner_m: (c, 3). edge: int (e, 2), corners. side: int (e,), of each
-    edge a side of a triangle, three for each."""
+    """The edges around the roof faces of a mesh. corner_m: (c, 3). edge: int (e, 2), corners. side: int (e,), a side of
+    a triangle on each edge; triangle t has the sides 3 t to 3 t + 2."""
 
     corner_m: np.ndarray
     edge: np.ndarray
@@ -57,8 +57,8 @@ def roof_edges(mesh: Mesh) -> RoofEdges:
 
 
 def far_samples(found: RoofEdges, true: RoofEdges) -> tuple[np.ndarray, np.ndarray]:
-    """bool (s,) and (t,): which samples of each are further than 0.5 m in space from all of the other: false, and
-    missing."""
+    """Two masks, (s,) and (t,): the samples of the found edges more than 0.5 m from all true samples (false edges), and
+    the samples of the true edges more than 0.5 m from all found samples (missing edges). Distances are in space."""
     found_m, true_m = found.sample_m[0], true.sample_m[0]
     return _are_far(found_m, true_m), _are_far(true_m, found_m)
 
@@ -70,7 +70,7 @@ def _are_far(one_m: np.ndarray, other_m: np.ndarray) -> np.ndarray:
 
 
 def false_and_missing_share(found: Mesh, true: Mesh) -> tuple[float, float]:
-    """Share of the length of the roof's edges further than 0.5 m from any true edge, and of the true edges that far
-    from any of the roof's."""
+    """(share of the found roof edges, by length, that are more than 0.5 m from any true edge; share of the true edges
+    that are more than 0.5 m from any found edge)."""
     is_false, is_missing = far_samples(roof_edges(found), roof_edges(true))
     return float(is_false.mean()), float(is_missing.mean())

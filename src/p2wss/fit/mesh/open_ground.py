@@ -1,4 +1,4 @@
-"""Open ground within a footprint without which a building would be in pieces: its faces are no roofs."""
+"""Open ground within a footprint that stays, as the building would be in pieces without it: its faces are no roofs."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _MAX_HEIGHT_M = 2.0
 def with_floors(mesh: Mesh, point_m: np.ndarray, num_open: int) -> Mesh:
     """The mesh with the kind ``FLOOR`` for open ground. At least one face remains a roof.
 
-    point_m: (m, 3), the points to which the roof is fitted, of which the last ``num_open`` are of open ground. A face
-    is open ground if it is level, at most 2 m above the ground, and has more of these points over it than others.
+    point_m: (m, 3), the points to which the roof is fitted; the last ``num_open`` are of open ground. A face
+    is open ground if it is level, at most 2 m above the ground, and most of the points over it are of open ground.
     """
     if not num_open:
         return mesh

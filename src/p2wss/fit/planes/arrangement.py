@@ -19,9 +19,9 @@ from p2wss.skeleton.types import distinct, next_in_ring, numbered, writable
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
-# in these multiples: the width of columns in which places are sought
+# multiples of the grid: the width of columns in which places are sought
 _STRIP = 1000.0
-# the same: rounding of places that are on the border of a square
+# multiples of the grid: rounding of places that are on the border of a square
 _TOUCH = 1e-6
 # the sine of the angle between segments that cross nowhere
 _PARALLEL = 1e-9
@@ -30,9 +30,9 @@ _PARALLEL = 1e-9
 @dataclass(frozen=True)
 class Arrangement:
     """xy_m: (v, 2), vertices. middle_m: (c, 2), a place within each cell. area_m2: (c,). pair: int (s, 2), the cells to
-    the left and to the right of each side, -1 outside the footprint. side: int (s, 2), its vertices. line: int (s,),
-    its line. lines: the ``num_edges`` edges of the footprint, then those that divide it; vertices are on them to
-    :data:`GRID_M`."""
+    the left and to the right of each side, -1 outside the footprint. side: int (s, 2), the vertices of each side. line:
+    int (s,), the line of each side. lines: the ``num_edges`` edges of the footprint, then the lines that divide it;
+    vertices are on them to :data:`GRID_M`."""
 
     xy_m: np.ndarray
     middle_m: np.ndarray
@@ -45,7 +45,7 @@ class Arrangement:
 
     @cached_property
     def vertices(self) -> tuple[np.ndarray, np.ndarray]:
-        """(vertices of all cells, cell by cell, some of them twice; where those of each cell begin, (c + 1,))."""
+        """(vertices of all cells, cell by cell, each one twice or more; the first of each cell, (c + 1,))."""
         owner, vertex = np.tile(self.pair.T.ravel(), 2), self.side.T.repeat(2, axis=0).ravel()
         order = np.argsort(owner, kind="stable")
         order = order[np.searchsorted(owner[order], 0) :]
@@ -64,12 +64,13 @@ class TooManyPlacesError(ValueError):
 def arrange(
     rings: Sequence[np.ndarray], lines: Sequence[Line], max_num_places: float = np.inf
 ) -> Arrangement:
-    """The cells of a footprint. Raises :class:`TooManyPlacesError`."""
+    """The cells into which lines divide a footprint. Raises :class:`TooManyPlacesError` if lines end or cross in more
+    than ``max_num_places`` places."""
     polygon = shapely.Polygon(rings[0], rings[1:])
     shapely.prepare(polygon)
     low, high = np.array(polygon.bounds).reshape(2, 2)
     far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
-    # those that end before the footprint are of roofs around it
+    # lines that end before the footprint are of roofs around it
     lines = [line for line in lines if line.low_m < far_m and line.high_m > -far_m]
     own_lines = [line for line, _ in edges_of(rings)]
     all_lines = [*own_lines, *lines]
@@ -96,7 +97,7 @@ def arrange(
     rank = np.full(len(size) + 1, -1)
     rank[order[~is_hole[order]][inside]] = np.arange(len(inside))
     cell, after = rank[of_cell[ring]], corner[next_in_ring(np.cumsum([0, *size]))]
-    # cell by cell, without what is outside
+    # sides sorted by cell, without the outside
     rows = np.argsort(cell, kind="stable")
     rows = rows[np.searchsorted(cell[rows], 0) :]
     used, start = numbered(corner[rows])
@@ -119,8 +120,9 @@ def arrange(
 
 @entry
 def _rings_between(place_m: np.ndarray, link: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(places of the rings along links (p, 2) of places (v, 2), with nothing to their left, (k,), ring after ring; how
-    long each is, (r,); twice its area, (r,), negative of one around cells)."""
+    """(places (k,) of the rings of the faces between links, ring after ring; the length of each ring, (r,); twice its
+    area, (r,), negative for a ring around cells). place_m: (v, 2). link: (p, 2), places. A face is to the left of its
+    ring."""
     num = len(link)
     vertex_m, half = np.zeros((len(place_m), 3)), np.empty((2 * num, 2), np.int64)
     vertex_m[:, :2], half[:num], half[num:] = place_m, link, link[:, ::-1]
@@ -131,7 +133,8 @@ def _rings_between(place_m: np.ndarray, link: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _cells_around(outline: np.ndarray, doubled_m2: np.ndarray) -> np.ndarray:
-    """int (r,): of each ring the cell of which it is a border, by the ring around it; -1 for what is around all."""
+    """int (r,): for each ring, the outer ring of the cell that it borders. A ring around cells borders the smallest
+    cell around it, or none, -1."""
     result = np.where(doubled_m2 < 0, -1, np.arange(len(outline)))
     hole, cell = np.flatnonzero(doubled_m2 < 0), np.flatnonzero(doubled_m2 >= 0)
     if len(hole) > 1:
@@ -140,7 +143,7 @@ def _cells_around(outline: np.ndarray, doubled_m2: np.ndarray) -> np.ndarray:
             shapely.point_on_surface(polygon[hole]), predicate="within"
         )
         at, around = hole[at], cell[around]
-        # neither one of the cells within the hole, nor one around that in which it is
+        # not a cell within the hole; of the cells around it, the smallest, which comes last
         is_larger = doubled_m2[around] > -doubled_m2[at] * (1 + _TOUCH)
         at, around = at[is_larger], around[is_larger]
         order = np.argsort(-doubled_m2[around], kind="stable")
@@ -150,17 +153,19 @@ def _cells_around(outline: np.ndarray, doubled_m2: np.ndarray) -> np.ndarray:
 
 def _pieces(end: np.ndarray, max_num_places: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(places (v, 2), by their first and then their second coordinate; the two places of each piece, (p, 2), ascending;
-    the segment that it is nearest to, (p,)): the pieces of segments (s, 2, 2) from each place where one ends or two
-    cross to the next, each once.
+    the segment that each piece is nearest to, (p,)).
+
+    Segments (s, 2, 2) are cut where one ends or two cross. A piece goes from one such place to the next; pieces of
+    several segments between the same places are one.
 
     By snap rounding (Hobby 1999, Practical segment intersection with finite precision output): places are rounded to
-    integers, and a segment goes through all those whose square it touches. So pieces have no more than ends in common.
-    GEOS, which can do the same, takes four times as long for a roof.
+    integers, and a segment goes through every place whose square it touches. So pieces have no more than ends in
+    common. GEOS, which can do the same, takes four times as long for a roof.
     """
     start, step = writable(end[:, 0], np.float64), writable(end[:, 1] - end[:, 0], np.float64)
     along = step / np.hypot(*step.T)[:, None]
     node = distinct(np.rint(np.concatenate([*end, _crossings(start, step, along)])) @ [1, 1j])
-    # what they pass is more by far
+    # before the search for the places that segments pass through, which are many more
     if len(node) > max_num_places:
         raise TooManyPlacesError
     place = np.column_stack([node.real, node.imag])
@@ -207,8 +212,8 @@ def _crossings(start: np.ndarray, step: np.ndarray, along: np.ndarray) -> np.nda
 def _passed(
     start: np.ndarray, step: np.ndarray, along: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(segments, places that they pass through, how far along them, how far beside): those whose squares of size 1 they
-    touch. place: (v, 2), by its first coordinate."""
+    """(segment, place, distance along the segment, distance beside it), each (n,): a segment passes through a place if
+    it touches the square of size 1 around it. place: (v, 2), ascending in the first coordinate."""
     left = place[:, 0].min()
     num_columns = int((place[:, 0].max() - left) / _STRIP) + 1
     # columns of a grid, and the places of each by their second coordinate
@@ -258,7 +263,8 @@ def _passed(
 
 
 def by_member(group: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Of groups (n, 2), such as the cells beside each side, a function from numbers to the groups that have one."""
+    """A function that returns, for an array of members, the groups with one of them, ascending. group: (n, 2), the
+    members of each group, such as the two cells beside each side."""
     member = group.ravel()
     order = np.argsort(member, kind="stable")
     begin = np.searchsorted(member[order], np.arange(member.max(initial=-1) + 2))
@@ -267,8 +273,8 @@ def by_member(group: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
 
 @entry
 def _cells_below(xy_m: np.ndarray, end_m: np.ndarray, pair: np.ndarray) -> np.ndarray:
-    """The cell (m,) below the side next above each place (m, 2), -1 outside. end_m: (s, 2, 2), the ends of sides. pair:
-    (s, 2), the cells to their left and right."""
+    """int (m,): the cell at each place (m, 2), -1 outside; it is the cell below the first side above the place. end_m:
+    (s, 2, 2), the ends of sides. pair: (s, 2), the cells to their left and right."""
     result = np.full(len(xy_m), -1)
     left, right = np.minimum(end_m[:, 0, 0], end_m[:, 1, 0]), np.maximum(end_m[:, 0, 0], end_m[:, 1, 0])
     top = np.maximum(end_m[:, 0, 1], end_m[:, 1, 1])

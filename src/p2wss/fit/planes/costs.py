@@ -1,8 +1,8 @@
 """What it costs to cover cells with planes: residuals, and prices of faces, edges and lines.
 
 A plane is a candidate for the cells near its points, and further away where nothing is seen. What two planes cost side
-by side follows from their heights at the ends of the side, and is computed where it is asked. So memory and time grow
-with the cells and the planes around each, not with all planes there are.
+by side follows from their heights at the ends of the side, and is computed only when it is needed. So memory and time
+grow with the number of cells and of candidates per cell, not with the number of all planes.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.ordering import order_of
 from p2wss.skeleton.types import distinct, numbered, writable
 
-# metres above the ground: no roof is lower, at a price beyond all others
+# metres above the ground: a lower roof is forbidden; cubic metres: its price, beyond all others
 _LOWEST_M, FORBIDDEN_M3 = 0.3, 1e4
-# planes are candidates where their points are within the first figure, in multiples of the distance within which
-# planes have a border, and twice as far as any point; at most so many, the nearest
+# a plane is a candidate within this distance of its points, in multiples of the distance within which planes have a
+# border, plus ``_UNSEEN_REACH`` times the distance to the nearest point; at most so many planes, the nearest ones
 _REACH, _MAX_CANDIDATES = 2.0, 32
 _UNSEEN_REACH = 2.0
-# the middles of the four quarters of a square, and the longest side of one over which a point counts
+# metres: the longest side of the square over which a point counts; the middles of the quarters of a square
 _LONGEST_M = 1.0
 _QUARTERS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
 
@@ -34,15 +34,16 @@ _QUARTERS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)
 class Problem(NamedTuple):
     """Cells, their candidates, and the sides between cells, for compiled code.
 
-    A *candidate* is a pair of a cell and a plane. Those of cell c are ``first[c]:first[c + 1]``, planes ascending;
-    those of plane p are ``by_plane[plane_first[p]:plane_first[p + 1]]``. A choice, int (c,), is a candidate of each
+    A *candidate* is a pair of a cell and a plane. Cell c has the candidates ``first[c]:first[c + 1]``, planes
+    ascending; plane p has ``by_plane[plane_first[p]:plane_first[p + 1]]``. A choice, int (c,), is a candidate of each
     cell.
 
-    number, of_cell, cell_m3: (n,), plane, cell and cost of each candidate. num_free: the first cells, which may
-    change; each further one stands for a face around these. pair: (s, 2), cells side by side. side_first: (c + 1,),
-    where the ends of sides of each cell begin in ``side_end`` (2 s,): numbers of sides, plus s at their second cells.
-    line, length_m: (s,). end_m: (s, 2, 2), ends of sides. plane: (k, 3). is_known: (k,), of a known roof. outside_m,
-    is_barred: (l,), the steps that a line has elsewhere, and whether it may have none.
+    number, of_cell, cell_m3: (n,), plane, cell and cost of each candidate. num_free: the number of cells that may
+    change, which are the first; each further cell stands for a face around these. pair: (s, 2), the cells side by side.
+    side_end: (2 s,), the sides by cell; cell c has ``side_first[c]:side_first[c + 1]``. An element is the number of a
+    side, plus s if c is the second cell of that side. line, length_m: (s,), the line and the length of each side.
+    end_m: (s, 2, 2), ends of sides. plane: (k, 3). is_known: (k,), whether a plane is of a known roof. outside_m: (l,),
+    the length of the steps that a line has elsewhere. is_barred: (l,), whether steps on a line are forbidden.
     """
 
     first: np.ndarray
@@ -73,7 +74,8 @@ class Costs:
     middle_m: np.ndarray
 
     def total_m3(self, label: np.ndarray) -> float:
-        """Of planes ``label`` (c,) over the cells; beyond all else for each that is no candidate."""
+        """The cost of planes ``label`` (c,) over the cells. Each that is no candidate of its cell costs more than all
+        else."""
         chosen = np.flatnonzero(self.problem.number == np.asarray(label)[self.problem.of_cell])
         choice = np.zeros(len(label), np.int64)
         choice[self.problem.of_cell[chosen]] = chosen
@@ -81,7 +83,7 @@ class Costs:
         return of_candidates_m3 + FORBIDDEN_M3 * (len(label) - len(chosen))
 
     def change_m3(self, label: np.ndarray, cell: int, number: int) -> float:
-        """What it costs that a cell gets another plane, without the prices of faces and lines."""
+        """What it costs to give a cell the plane ``number``, without the prices of faces and lines."""
         return float(
             _change_m3(self.problem, self.prices, np.asarray(label, np.int64), int(cell), int(number))
         )
@@ -92,7 +94,7 @@ class Costs:
         return groups(len(label), pair[label[pair[:, 0]] == label[pair[:, 1]]])
 
     def bodies(self, label: np.ndarray) -> np.ndarray:
-        """int (c,): numbers of the faces that no step divides."""
+        """int (c,): the number of the body of each cell. Cells without a step between them are in one body."""
         is_step = _steps_of(self.problem, self.prices, np.asarray(label, np.int64))
         return groups(len(label), self.problem.pair[~is_step])
 
@@ -108,8 +110,8 @@ def costs_of(
     num_known: int = 0,
 ) -> Costs:
     """The costs of covering cells with planes (k, 3). of_cell: (m,), the cell of each point (m, 3), -1 for none.
-    stands_m2: (m,), the area that each point stands for. candidates: of :func:`candidates_of`. num_known: the last
-    planes, of a known roof."""
+    stands_m2: (m,), the area that each point stands for. candidates: see :func:`candidates_of`. num_known: how many of
+    the planes, the last ones, are of a known roof."""
     point_m, of_cell, stands_m2 = _spread(cells, point_m, of_cell, stands_m2)
     order = np.argsort(of_cell, kind="stable")
     order = order[np.searchsorted(of_cell[order], 0) :]
@@ -145,9 +147,10 @@ def costs_of(
 def _spread(
     cells: Arrangement, point_m: np.ndarray, of_cell: np.ndarray, stands_m2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(points, their cells, the areas that they stand for), where a point that stands for more than its cell is four:
-    in the cells at the middles of the quarters of the square that it stands for, or of 1 m. So no single point of a
-    sparse cloud pays for a tower of the width of a hand."""
+    """(points, their cells, the areas that they stand for). A point that stands for more than the area of its cell is
+    replaced by four. Each is in the cell at the middle of a quarter of the square that the point stands for, which is
+    at most 1 m wide, or in the cell of the point if that middle is outside. So no single point of a sparse cloud pays
+    for a tower of the width of a hand."""
     is_wide = (of_cell >= 0) & (stands_m2 > cells.area_m2[of_cell])
     side_m = np.minimum(np.sqrt(stands_m2[is_wide, None, None]), _LONGEST_M)
     quarter_m = point_m[is_wide, None, :2] + side_m * _QUARTERS
@@ -174,7 +177,7 @@ def problem_of(
     plane: np.ndarray,
     is_known: np.ndarray,
 ) -> Problem:
-    """All cells of a roof, which are free (:class:`Problem`)."""
+    """The :class:`Problem` of all cells of a roof, all of them free."""
     num_cells, num_lines = len(first) - 1, int(line.max(initial=-1)) + 1
     end = np.concatenate([pair[:, 0], pair[:, 1]])
     return Problem(
@@ -206,13 +209,13 @@ def candidates_of(
     of_cell: np.ndarray,
     near_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(where those of each cell begin, (c + 1,), planes (n,)): which planes may cover each cell, ascending.
+    """(first (c + 1,), number (n,)): the planes ``number[first[c]:first[c + 1]]``, ascending, may cover cell c.
 
-    label: the plane of each place (m, 2) where it is seen. point_m: (n, 2), points in cells ``of_cell``, -1 for none.
-    near_m: planes this near to each other have a border.
+    seen_m: (m, 2), places where planes are seen. label: (m,), the plane of each. point_m: (p, 2), points in the cells
+    ``of_cell``, -1 for none. near_m: planes this near to each other have a border.
 
-    All is decided for squares of a grid, and a cell may have what the squares of its middle, its corners and its points
-    may have.
+    Candidates are found for the squares of a grid. A cell gets the candidates of the squares of its middle, its
+    corners and its points.
     """
     size_m = near_m / 2
     vertex, vertex_first = cells.vertices
@@ -259,8 +262,9 @@ def _candidates_at(
     size_m: float,
     num_planes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(where those of each wanted square begin, planes): those seen within reach of it, the nearest first. seen_square,
-    seen_plane: ascending squares in which planes are seen."""
+    """(first, planes): the planes ``first[k]:first[k + 1]`` are seen within reach of the wanted square k. If these are
+    too many, they are the nearest. seen_square, seen_plane: the squares in which planes are seen, ascending, and the
+    planes."""
     begin = np.searchsorted(seen_square, np.arange(shape[0] * shape[1] + 1))
     first, result, num = np.zeros(len(wanted) + 1, np.int64), np.empty(1024, np.int64), 0
     least_m, found = np.full(num_planes, np.inf), np.empty(num_planes, np.int64)
@@ -289,8 +293,8 @@ def _candidates_at(
 
 
 class _Points(NamedTuple):
-    """Points, cell by cell. stands_m2: (m,), the area that each stands for. begin: (c + 1,), where those of each cell
-    begin. bottom_m, top_m: heights of the lowest and the highest point, also of those in no cell."""
+    """Points, cell by cell. stands_m2: (m,), the area that each stands for. begin: (c + 1,), the first point of each
+    cell. bottom_m, top_m: heights of the lowest and the highest of all points, with the points in no cell."""
 
     point_m: np.ndarray
     stands_m2: np.ndarray
@@ -310,7 +314,8 @@ def _cell_costs(
     corner_first: np.ndarray,
     prices: PlanePrices,
 ) -> np.ndarray:
-    """(n,): what each candidate costs. corner_m: (v, 2), of all cells, those of each begin at ``corner_first``."""
+    """(n,): what each candidate costs. corner_m: (v, 2), the corners of all cells, cell by cell. corner_first:
+    (c + 1,), the first corner of each cell."""
     point_m, begin = seen.point_m, seen.begin
     result = np.zeros(len(number))
     for cell in range(len(area_m2)):
@@ -332,7 +337,7 @@ def _cell_costs(
 
 @inner
 def ends_apart_m(problem: Problem, side: int, one: int, other: int) -> tuple[float, float]:
-    """How far two planes are from each other at the ends of a side."""
+    """The differences in height between two planes at the ends of a side."""
     end_m, plane = problem.end_m, problem.plane
     a, b = plane[one, 0] - plane[other, 0], plane[one, 1] - plane[other, 1]
     c = plane[one, 2] - plane[other, 2]
@@ -349,7 +354,7 @@ def is_step(problem: Problem, prices: PlanePrices, side: int, one: int, other: i
 
 @inner
 def side_m3(problem: Problem, prices: PlanePrices, side: int, one: int, other: int) -> float:
-    """What two planes cost on the two hands of a side."""
+    """What it costs to have one plane to the left and the other to the right of a side."""
     if one == other:
         return 0.0
     first_m, last_m = ends_apart_m(problem, side, one, other)
@@ -364,7 +369,7 @@ def side_m3(problem: Problem, prices: PlanePrices, side: int, one: int, other: i
 
 @inner
 def beside(problem: Problem, way: int) -> int:
-    """The cell at the other hand of the side of a ``way``, an element of ``side_end``."""
+    """The cell across a side. way: the element of ``side_end`` for the cell on this hand."""
     num_sides = len(problem.pair)
     return problem.pair[way, 1] if way < num_sides else problem.pair[way - num_sides, 0]
 
@@ -408,7 +413,7 @@ def total_m3(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> float
 
 @allocating
 def steps_m(problem: Problem, prices: PlanePrices, label: np.ndarray) -> np.ndarray:
-    """(l,): how much of each line has steps."""
+    """(l,): the length of the steps on each line."""
     result = problem.outside_m.copy()
     for side, (one, other) in enumerate(problem.pair):
         if is_step(problem, prices, side, label[one], label[other]):

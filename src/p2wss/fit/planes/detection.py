@@ -16,19 +16,19 @@ from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.ordering import ascending, order_of, sorted_by
 
-# a sum of scores in another order differs by less
+# sums of the same scores in different order differ by less
 _ROUNDING = 1e-6
-# around this share of the points there are no edges, and the surface is so rough there, in standard deviations of a
+# the roughness at this quantile of the points is of a surface without edges; it is so many standard deviations of a
 # point
 _EVEN_SHARE, _EVEN_ROUGHNESS = 0.25, 0.62
-# mark of points that have a plane, above those of all searches
+# mark of points that have a plane; larger than the mark of any search
 _TAKEN = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
 class RoofPlanes:
-    """plane: (k, 3). label: int (m,), the plane of each point, -1 for none. neighbour: int (m, n), of each point those
-    nearest to it, by which planes are beside each other. settings: those for the noise of these points."""
+    """plane: (k, 3). label: int (m,), the plane of each point, -1 for none. neighbour: int (m, n), the nearest points
+    of each point, by which planes are beside each other. settings: the settings for the noise of these points."""
 
     plane: np.ndarray
     label: np.ndarray
@@ -55,7 +55,7 @@ def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
 
 @inner
 def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> float:
-    """The mean distance of some of the points (m, 3) from a plane (3,); 0 of none. rows: int64 (k,)."""
+    """The mean distance of the points (m, 3) in ``rows``, int64 (k,), from a plane (3,); 0 for no points."""
     total_m = 0.0
     for row in rows:
         total_m += _distance(plane, point_m[row])
@@ -64,14 +64,15 @@ def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> f
 
 def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
     """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre. along: directions of the
-    footprint, radians; without any, small planes are not sought. Of points with more noise than usual, those of a plane
-    may be further from it.
+    footprint, radians; without any, small planes are not sought. Where noise is larger than usual, the points of a
+    plane may be further from it.
 
-    Planes grow from the places where the points are most even. Of the points left by these, where smaller ones may
-    have fewer than a grown one needs, as of all points where the surface around one shows nothing, the largest plane
-    that is level, rises along a direction of the footprint, or goes through the points around one, is taken, again and
-    again. Points then go to the best of the planes around them and planes to their points, and two planes become one
-    where a single plane is hardly further from the points.
+    Planes grow from the points where the surface is most even. Then the largest plane of the remaining points is taken,
+    again and again: a plane that is level, that rises along a direction of the footprint, or that fits the points
+    around a point. Where points are sparse, they show no surface around a point: no plane grows, and all planes come
+    from this second search. Elsewhere, it takes place only if small planes may have fewer points than a grown plane
+    needs. In the end, each point goes to the best plane around it, and each plane is fitted to its points. Two planes
+    become one where a single plane is hardly further from the points.
     """
     is_sparse = density < settings.sparse_per_m2
     count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
@@ -108,9 +109,11 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
 def payable(
     point_m: np.ndarray, found: RoofPlanes, plane: np.ndarray, stands_m2: float, prices: PlanePrices
 ) -> RoofPlanes:
-    """The planes (k, 3), of points (m, 3) labelled as ``found``, without those that save less than ``least_m3``: how
-    much nearer its points are to a plane than to the nearest of the planes around each, from which none is further than
-    ``cap_m``. The points of a plane that is left out go to those. stands_m2: the area that a point stands for."""
+    """``found`` with the planes (k, 3) in place of its own, without the planes that save less than ``least_m3``.
+
+    A plane saves what its points (m, 3) are nearer to it, upright, than to the nearest of the planes of their
+    neighbours; distances count up to ``cap_m``. The points of a plane that is left out go to that nearest plane, or to
+    none if it is left out as well or further than ``cap_m``. stands_m2: the area that a point stands for."""
     is_kept, label = _paid(point_m, found.neighbour, plane, found.label, stands_m2, prices)
     number = np.append(np.cumsum(is_kept) - 1, -1)
     return RoofPlanes(plane[is_kept], number[label], found.neighbour, found.settings)
@@ -125,7 +128,8 @@ def _paid(
     stands_m2: float,
     prices: PlanePrices,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(whether each plane is kept, labels): in each round those that save least, but none beside another."""
+    """(whether each plane is kept, labels). Each round drops planes, the one that saves least first, but no two planes
+    that are side by side."""
     label, is_kept = label.copy(), np.ones(len(plane), np.bool_)
     saved_m3, is_beside = np.empty(len(plane)), np.empty(len(plane), np.bool_)
     other = np.empty(len(label), np.int64)
@@ -162,8 +166,8 @@ def _rise(plane: np.ndarray, point_m: np.ndarray) -> float:
 
 
 def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -> bool:
-    """Whether the neighbours (m, k) of many points lie on one line of the scanner each, as the next one is further
-    away: they show no plane, as any that has the line goes through them."""
+    """Whether the neighbours (m, k) of many points lie on a single line of the scanner, as the next line is further
+    away. Such neighbours show no plane: every plane through the line fits them."""
     rows = every_kth(len(point_m), settings.num_line_samples)
     near_m = point_m[neighbour[rows], :2]
     away_m = near_m - near_m.mean(axis=1, keepdims=True)
@@ -175,7 +179,7 @@ def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -
 @allocating
 def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
     """The plane (3,) of the points (m, 3) in the first ``num`` of ``rows``, int64 (k,), by reweighted least squares,
-    which come near to least absolute residuals; a level one of two."""
+    which approximate least absolute residuals. It is level for one or two points."""
     centre = np.zeros(3)
     for t in range(num):
         for k in range(3):
@@ -200,7 +204,8 @@ def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.n
 
 
 def _noise_m(rough_m: np.ndarray, settings: Detection) -> float:
-    """The standard deviation of points about surfaces so rough (m,); 0 of too few, and of what is no surface."""
+    """The standard deviation of points about surfaces of roughness ``rough_m`` (m,); 0 for too few points, and where it
+    is so large that there is no surface."""
     if len(rough_m) < settings.min_noise_points:
         return 0.0
     noise_m = quantile(rough_m, _EVEN_SHARE) / _EVEN_ROUGHNESS
@@ -215,18 +220,19 @@ def _distance(plane: np.ndarray, point: np.ndarray) -> float:
 
 @inner
 def _fewest(plane: np.ndarray, min_points: int, settings: Detection) -> int:
-    """How many points a plane has at least: those of the smallest area on its slope, of which a plan shows less."""
+    """The least number of points of a plane. As the smallest area is measured on the slope, a steep plane needs fewer
+    than ``min_points``, but no fewer than the lesser of ``min_points`` and ``settings.min_points``."""
     on_slope = int(min_points / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2))
     return max(min(min_points, settings.min_points), on_slope)
 
 
 @entry
 def _surfaces(point_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The normals (m, 3) of the surface around each point, upwards, and how rough it is (m,): the standard deviation of
-    the points ``neighbour`` (m, k) along the normal, in metres.
+    """(normals (m, 3), roughness (m,)) of the surface around each point. A normal points upwards. Roughness is the
+    standard deviation of the points ``neighbour`` (m, k) along the normal, in metres.
 
-    Both are of the smallest eigenvalue of a symmetric matrix, which is a root of a cubic (Smith, Eigenvalues of a
-    symmetric 3 x 3 matrix, 1961).
+    Both follow from the smallest eigenvalue of the covariance matrix, which is a root of a cubic (Smith, Eigenvalues of
+    a symmetric 3 x 3 matrix, 1961).
     """
     normal, rough_m = np.empty(point_m.shape), np.empty(len(point_m))
     count = neighbour.shape[1]
@@ -252,7 +258,7 @@ def _surfaces(point_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, n
         least = mean + 2 * size * np.cos(turn + 2 * np.pi / 3)
         a, b, c = xx - least, yy - least, zz - least
         best = -1.0
-        # the longest of the products of two rows, all of which are along the eigenvector
+        # cross products of two rows are all along the eigenvector; the longest one is the most exact
         for x, y, z in (
             (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy),
             (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz),
@@ -277,7 +283,7 @@ def _grown(
     min_points: int,
     settings: Detection,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(planes (k, 3), label (m,)): from each point in ``order``, the plane around it as far as it goes."""
+    """(planes (k, 3), label (m,)): from each point without a plane, in ``order``, a plane grows as far as it goes."""
     num = len(point_m)
     label, seen = np.full(num, -1), np.full(num, -1)
     plane, num_planes = np.empty((num // min(min_points, settings.min_points) + 1, 3)), 0
@@ -327,8 +333,9 @@ def _largest(
     min_points: int,
     settings: Detection,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(further planes (k, 3), label (m,)): of the planes at points of none, the one nearest to most connected points of
-    none, and so on with those left."""
+    """(further planes (k, 3), label (m,)). Only points without a plane count. Of the planes at these points
+    (:func:`_planes_at`), the one with the best score of connected points is taken, then the best one for the points
+    that remain, and so on."""
     num, num_near = neighbour.shape
     label, first = label.copy(), label.max() + 1
     seen = np.full(num, _TAKEN)
@@ -336,7 +343,7 @@ def _largest(
     plane, num_planes = np.empty((num // min_points + 1, 3)), 0
     rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
     num_trials, min_slope_points = 0, max(min_points, settings.min_slope_points)
-    # those that too few are around, and of very many points, some that showed nothing
+    # points with too few free points around them; of very many points, also those from which no plane was found
     is_tried = np.zeros(num, np.bool_)
     for row in range(num):
         is_tried[row] = _free(neighbour[row], label, rows) < min(min_points, num_near)
@@ -350,7 +357,7 @@ def _largest(
             trials = _planes_at(seed, point_m, neighbour[seed], label, axis, settings)
             for t in range(len(trials)):
                 a, b, c = trials[t]
-                # all that is near to the plane, connected or not, is rarely more than the best has
+                # a bound that is quick to compute: the score of all points near to the plane, connected or not
                 k, score, scale = 0, _ROUNDING, 1 / ((1 + a**2 + b**2) * settings.distance_m**2)
                 while k < len(left) and score <= best_score:
                     off_m = a * point_m[left[k], 0] + b * point_m[left[k], 1] + c - point_m[left[k], 2]
@@ -384,7 +391,7 @@ def _largest(
 
 @inner
 def _free(beside: np.ndarray, label: np.ndarray, rows: np.ndarray) -> int:
-    """How many of the points ``beside`` one have no plane; they are the first of ``rows`` then."""
+    """The number of the points in ``beside`` that have no plane. They are the first of ``rows`` afterwards."""
     count = ZERO
     for other in beside:
         if label[other] < 0:
@@ -401,8 +408,9 @@ def _planes_at(
     axis: np.ndarray,
     settings: Detection,
 ) -> np.ndarray:
-    """Planes (k, 3) through a point: the level one, and those that rise along an ``axis`` (a, 2) to one ``beside`` it;
-    then that of the points beside it without a plane, which may rise in any direction."""
+    """Trial planes (k, 3) at the point ``seed``: the level plane through it; the planes through it that rise along an
+    ``axis`` (a, 2) to a point ``beside`` it; and the plane of the points beside it that have no plane, which may rise
+    in any direction."""
     plane, num, rows = np.empty((len(beside) * len(axis) + 2, 3)), ZERO + 1, np.empty(len(beside), np.int64)
     plane[0, 0], plane[0, 1], plane[0, 2] = 0.0, 0.0, point_m[seed, 2]
     for other in beside:
@@ -432,8 +440,8 @@ def _connected(
     mark: int,
     settings: Detection,
 ) -> tuple[int, float]:
-    """(how many, score): the points near to a plane (3,) that are connected to the first of ``rows``, in ``rows`` then.
-    Those whose ``seen`` is ``mark`` or more are passed over; of those that were looked at, it becomes ``mark``."""
+    """(number, score) of the points near to a plane (3,) that are connected to the first of ``rows``. They are the
+    first of ``rows`` afterwards. Points whose ``seen`` is ``mark`` or more are skipped; visited points get ``mark``."""
     length = np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
     count, seen[rows[0]], reached, score = ZERO + 1, mark, 0, 1.0
     while reached < count:
@@ -454,8 +462,9 @@ def _connected(
 def _settled(
     point_m: np.ndarray, plane: np.ndarray, label: np.ndarray, neighbour: np.ndarray, settings: Detection
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(planes, label) after each point has gone to the nearest of its plane and the planes of its neighbours, and each
-    plane to its points, in turns. The planes of two low slopes that grew over the ridge between them go apart so."""
+    """(planes, label) after points and planes have settled in turns: each point goes to the nearest of its own plane
+    and the planes of its neighbours, then each plane is fitted to its points. This separates the planes of two low
+    slopes that grew over the ridge between them."""
     plane = plane.copy()
     for turn in range(settings.num_turns):
         before, label = label, label.copy()
@@ -483,10 +492,10 @@ def _merged(
     min_points: int,
     settings: Detection,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(planes, label) after planes side by side have become one, those that differ least first, without the planes of
-    too few points."""
+    """(planes, label) after similar planes side by side have become one, the most similar pair first. Planes of too few
+    points and planes that are too steep are left out."""
     num, label = len(plane), label.copy()
-    # the rows of each plane; of one that has become a part of another, none
+    # the points of each plane; none for a plane that has become a part of another
     begin, order = sorted_by(label + 1, num + 1)
     rows_of = [order[begin[i + 1] : begin[i + 2]] for i in range(num)]
     residual_m = np.array([mean_distance(plane[i], point_m, rows_of[i]) for i in range(num)])
@@ -497,7 +506,8 @@ def _merged(
                 link[num_links] = min(number, other) * num + max(number, other)
                 num_links += 1
     link = ascending(link[:num_links])
-    # planes that touch in three pairs of points or more, and how much further points are from one plane in place of two
+    # pairs of planes that touch in three pairs of points or more; ``worse_m``: how much further the points are from the
+    # joint plane than from their own
     is_pair = np.zeros(num_links, np.bool_)
     is_pair[: max(num_links - 2, 0)] = link[: max(num_links - 2, 0)] == link[2:]
     is_pair[1:] &= link[1:] != link[:-1]
@@ -531,7 +541,7 @@ def _merged(
             if k != best and worse_m[k] < np.inf and (i in (one, other) or j in (one, other)):
                 ends = (one if i == other else i), (one if j == other else j)
                 moved = min(ends) * num + max(ends)
-                # both may have touched the same plane
+                # if both planes touched a third one, keep a single pair with it
                 is_new[k] = not (pair[:k][worse_m[:k] < np.inf] == moved).any()
                 pair[k], worse_m[k] = moved, 0.0 if is_new[k] else np.inf
     result, num_roofs, new_label = np.empty((num, 3)), 0, np.full(len(label), -1)

@@ -34,13 +34,13 @@ from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.types import distinct
 
-# cubic metres: the price, beyond all others, of each side that ends in an upright edge of four walls
+# cubic metres: the price, beyond all others, of each upright edge of four walls
 _PINCH_M3 = 1e6
 # smaller savings are rounding
 _GAIN_M3 = 1e-6
-# directions of a footprint along which steps are sought, and few points show planes
+# directions of a footprint along which steps are sought, and planes where points are few
 _NUM_DIRECTIONS = 2
-# metres: a roof is found so far within the footprint; tangent of the slope of a level roof
+# metres: the roof at an edge is looked up this far within the footprint; tangent of the slope of a level roof
 _INSIDE_M, _LEVEL = 0.1, 0.02
 # metres: a lower roof may be open ground
 _LOW_M = 2.0
@@ -48,12 +48,13 @@ _LOW_M = 2.0
 
 @dataclass(frozen=True)
 class PlanesFit:
-    """plane: (k, 3). cells, label: which plane covers which cell. built: the same, :data:`OUTSIDE` over open ground,
-    where the solid is not. body: int (c,), numbers of the roofs between which
-    there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof. is_simplified:
-    whether the points show more planes than :class:`p2wss.fit.settings.Limits` allow. costs: what was compared.
-    point_m, at_plane: the points, and the plane of each, -1 for none. num_known: the last planes, of a known roof and
-    between lines of a map. num_lines_used: of these lines, those along which planes end."""
+    """The fitted roof. plane: (k, 3). label: int (c,), the plane over each of the ``cells``. built: like ``label``, but
+    :data:`OUTSIDE` over open ground, where there is no solid. body: int (c,), the number of the body of each cell; the
+    roofs of different bodies have steps between them. num_bodies: how many bodies are built. mesh: the solid from
+    height 0 to the roof. is_simplified: whether the points show more planes than :class:`p2wss.fit.settings.Limits`
+    allow. costs: the costs that were compared. point_m, at_plane: the points, and the plane of each, -1 for none.
+    num_known: how many planes, the last ones, are of a known roof or between lines of a map. num_lines_used: how many
+    lines of the map have planes ending along them."""
 
     plane: np.ndarray
     cells: Arrangement
@@ -70,11 +71,11 @@ class PlanesFit:
     num_lines_used: int
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
-        """(eave height of the largest body, angle in degrees of every edge): that of a plane which rises from its edge,
-        90 along a gable, 0 below a level roof.
+        """(eave height of the largest body, angle of the roof at every edge, degrees).
 
-        The eave is the lowest height of the roof above the edges from which it rises, or of a level one. Bodies below
-        2 m, which may be open ground, count only if there is no other.
+        The angle is the slope of the plane at the edge if it rises from the edge, 0 for a level roof, and 90 otherwise,
+        as along a gable. The eave is the lowest height at the edges from which the roof rises or where it is level.
+        Bodies below 2 m, which may be open ground, count only if there is no other.
         """
         ends = edge_ends(rings)
         edge = ends[:, 1] - ends[:, 0]
@@ -82,6 +83,8 @@ class PlanesFit:
         inwards = np.column_stack([-edge[:, 1], edge[:, 0]]) / length_m[:, None]
         middle_m = ends.mean(axis=1)
         cell = self.cells.cells_at(middle_m + _INSIDE_M * inwards)
+        # behind a short edge at a sharp corner, this place is outside
+        cell[cell < 0] = self.cells.cells_at((middle_m + _INSIDE_M / 20 * inwards)[cell < 0])
         number = self.label[cell]
         slope = self.plane[number, :2]
         steep = np.hypot(slope[:, 0], slope[:, 1])
@@ -109,12 +112,14 @@ def fit_planes(
     supposed_m: np.ndarray | None = None,
     line_m: np.ndarray | None = None,
 ) -> PlanesFit | None:
-    """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
-    closed. The last ``num_open`` points are of open ground: where they show it, there is no solid, if one without it is
-    closed and in one piece. around_m: (k, 3), points on other roofs, which may have planes and lines in common with
-    this one, as those of a row have. known: a roof with which the search begins, and whose planes and lines this one
-    may have. supposed_m: (s, 3), places all over the roof at heights that count as little as a few points. line_m: (l,
-    2, 2), lines of a map; beside a known roof, planes may end there, and those that meet there are candidates."""
+    """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is closed.
+
+    num_open: how many points, the last ones, are of open ground. Where they show it, there is no solid, if the rest is
+    closed and in one piece. around_m: (k, 3), points on the roofs around, which may share planes and lines with this
+    one, as in a row of houses. known: a roof with which the search begins, and whose planes and lines are candidates.
+    supposed_m: (s, 3), places all over the roof at supposed heights, which count as little as a few points. line_m:
+    (l, 2, 2), lines of a map. With a known roof, planes may end there, and the planes that meet there are candidates.
+    """
     area_m2, order = shapely.Polygon(rings[0], rings[1:]).area, even_order(point_m)
     max_num = min(int(settings.detection.max_per_m2 * area_m2) + 1, settings.limits.num_points)
     order = order[every_kth(len(order), max_num)]
@@ -129,7 +134,7 @@ def fit_planes(
     if len(found.plane):
         plane = regular(found, point_m, along)
         found = payable(point_m, found, plane, 1 / density, settings.prices)
-    # none may be worth its price
+    # perhaps no plane is worth its price
     if not len(plane := found.plane):
         return None
     corner_m = np.concatenate(rings)
@@ -155,10 +160,10 @@ def fit_planes(
         return None
     num_shown, (plane, at_plane, cells) = len(plane), drawn
     is_simplified = len(plane) < num_shown
-    # what is apart has lines of its own, but may be of one plane
+    # separate parts of a roof have lines of their own, but may be in the same plane
     first = dict[tuple[float, ...], int]()
     of_plane = [first.setdefault((*each,), len(first)) for each in plane.tolist()]
-    # the last one is that of no plane
+    # -1, for points without a plane, is the last element
     plane, at_plane, num_found = np.array([*first]), np.array([*of_plane, -1])[at_plane], len(first)
     cell = cells.cells_at(point_m[:, :2])
     seen_m, of_cell, stands_m2 = point_m, cell, np.full(len(point_m), 1 / density)
@@ -177,7 +182,7 @@ def fit_planes(
         known_m, known_number = known_places(known)
         at_m, number = np.vstack([at_m, known_m]), np.append(number, len(plane) + known_number)
         plane = np.vstack([plane, known_planes(known)])
-        # with those between lines of a map
+        # planes between lines of a map count as well
         num_known = len(plane) - num_found
     candidates = candidates_of(cells, at_m, number, seen_m[:, :2], of_cell, drawing.near_m)
     prices = settings.prices.for_density(density)
@@ -219,8 +224,8 @@ def _drawn(
     drawing: Drawing,
     limits: Limits,
 ) -> tuple[np.ndarray, np.ndarray, Arrangement] | None:
-    """(planes, the plane of each point, -1 for none, the cells between their lines and further ones): all planes, or as
-    many of the largest as are within the limits; None where no plane is."""
+    """(planes, the plane of each point, -1 for none, the cells between the lines of the planes and the lines
+    ``further``). If all planes exceed the limits, only the largest are used; None if even one plane exceeds them."""
     num = limits.num_planes
     while num:
         if len(plane) > num:
@@ -229,7 +234,7 @@ def _drawn(
             )
             number = np.full(len(plane) + 1, -1)
             number[kept] = np.arange(num)
-            # the last one is that of no plane
+            # -1, for points without a plane, is the last element
             plane, label = plane[kept], number[label]
         lines = [*lines_of(rings, plane, label, point_m, along, drawing), *further]
         if len(lines) <= limits.num_lines:
@@ -240,8 +245,8 @@ def _drawn(
 
 
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """The labels (c,) after cells where four walls would share an upright edge have got planes of those beside them, as
-    cheaply as possible."""
+    """The labels (c,) without upright edges that four walls share, where possible: cells at such an edge get the plane
+    of a cell beside them, as cheaply as possible."""
     pending = at_pinch(cells, label, plane, np.arange(len(cells.side))).tolist()
     if not pending:
         return label
@@ -278,9 +283,9 @@ def _without_open_ground(
     open_cell: np.ndarray,
     cell: np.ndarray,
 ) -> np.ndarray:
-    """The labels (c,) with :data:`OUTSIDE` for faces of open ground without which the rest is one piece: level ones at
-    most 2 m high, half of whose points are of the ground. open_cell, cell: (m,), the cells of points of open ground,
-    and of all points; -1 for none."""
+    """The labels (c,) with :data:`OUTSIDE` for faces of open ground, if the rest is in one piece without them. Such a
+    face is level, at most 2 m high, and more than half of its points are of open ground. open_cell, cell: (m,), the
+    cell of each point of open ground, and of each of all points; -1 for none."""
     count, num_open = (np.bincount(each + 1, minlength=len(label) + 1)[1:] for each in (cell, open_cell))
     face = costs.faces(label)
     is_low = (height_over(plane, label, cells.middle_m) <= _LOW_M) & (np.hypot(*plane[label, :2].T) < _LEVEL)

@@ -1,5 +1,4 @@
-"""The planes of a roof that is known, or whose lines a map knows, and the lines between them: candidates where points
-are few."""
+"""Planes and lines of a known roof, or between lines of a map: candidates where points are few."""
 
 from __future__ import annotations
 
@@ -55,8 +54,8 @@ def known_lines(mesh: Mesh) -> list[Line]:
 def between_lines(
     rings: Sequence[np.ndarray], end_m: np.ndarray, drawing: Drawing, limits: Limits
 ) -> Arrangement | None:
-    """The cells between lines of a map with these ends (l, 2, 2), as long as to meet what they end at: all of them, or
-    as many of the longest as are within the limits; None without lines."""
+    """The cells between lines of a map with these ends (l, 2, 2). The lines are extended by ``mapped_gap_m``, so that
+    they meet what they end at. Of too many lines, only the longest are used. None without lines."""
     longest = np.argsort(-np.hypot(*(end_m[:, 1] - end_m[:, 0]).T), kind="stable")[: limits.num_mapped_lines]
     while len(longest):
         lines = [Line.through(*each).along(each, drawing.mapped_gap_m) for each in end_m[np.sort(longest)]]
@@ -71,8 +70,8 @@ def mapped_planes(
 ) -> np.ndarray:
     """The planes (c, 3), one over each cell between the lines of a map, that are nearest to the points (m, 3) and meet
     at these lines: the least sum of absolute residuals and steps, by reweighted least squares. A step along a metre
-    counts like residuals over a square metre. So a plane with hardly a point follows from those that it meets, and a
-    step that points show remains. stands_m2: (m,), the area that each point stands for."""
+    counts like residuals over a square metre. So a plane with hardly any points follows from the planes that it meets,
+    and a step that points show remains. stands_m2: (m,), the area that each point stands for."""
     of_point = cells.cells_at(point_m[:, :2])
     rows = np.flatnonzero(of_point >= 0)
     rows = rows[every_kth(len(rows), limits.num_mapped_points)]
@@ -84,7 +83,7 @@ def mapped_planes(
     place_m = np.concatenate([point_m[:, :2], end_m.reshape(-1, 2)]) - origin_m[:2]
     place_m = np.hstack([place_m, np.ones((len(place_m), 1))])
     row, first = np.arange(len(place_m)), len(point_m)
-    # what each row of places says of the planes of all cells
+    # by_cell: the coefficients of the planes of all cells in the equation of each place
     by_cell = np.zeros((len(place_m), num, 3))
     by_cell[row[:first], of_point], by_cell[row[first:], pair[:, 0]] = place_m[:first], place_m[first:]
     by_cell[row[first:], pair[:, 1]] -= place_m[first:]
@@ -113,7 +112,8 @@ def mapped_places(cells: Arrangement) -> tuple[np.ndarray, np.ndarray]:
 
 
 def num_on(line_end_m: np.ndarray, end_m: np.ndarray, near_m: float) -> int:
-    """How many of the lines (l, 2, 2) have edges of a roof, with these ends (s, 2, 2), along half of them or more."""
+    """How many of the lines (l, 2, 2) have edges of a roof along at least half of their length. end_m: (s, 2, 2), the
+    ends of the edges."""
     num = 0
     for start_m, last_m in line_end_m:
         length_m = np.hypot(*(last_m - start_m))

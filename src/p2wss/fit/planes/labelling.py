@@ -1,9 +1,9 @@
-"""Which plane covers which cell: the least sum of residuals and of the prices of faces and edges.
+"""Which plane covers which cell: the least sum of residuals and of the prices of faces, edges and lines.
 
-The search is that of Boykov, Veksler and Zabih (Fast Approximate Energy Minimization via Graph Cuts, 2001): each plane
-in turn takes the cells that it covers at less cost, all at once, by a minimum cut. Faces then give way to those around
-them, and lines with short steps to others, where that saves more than it costs. Such a move is a small problem of its
-own (:func:`_part`): the cells that may change, and each face around them as one cell.
+The search is that of Boykov, Veksler and Zabih (Fast Approximate Energy Minimization via Graph Cuts, 2001). Each plane
+in turn takes all cells that it covers at less cost, by a minimum cut. Then whole faces are given to the faces around
+them, and lines with short steps are dropped, where that lowers the cost. Such a move is a small problem of its own
+(:func:`_part`): the cells that may change, and one fixed cell for each face around them.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ _GAIN_M3 = 1e-6
 
 
 def least_cost(costs: Costs, num_known: int = 0) -> np.ndarray:
-    """int (c,): the plane over each cell. If the last ``num_known`` planes are known, the search begins with these."""
+    """int (c,): the plane over each cell. The last ``num_known`` planes are of a known roof: the search begins with
+    them."""
     first_known = len(costs.problem.plane) - num_known if num_known else 0
-    # lines are barred on the way
+    # the search bars lines, in a copy
     problem = costs.problem._replace(is_barred=costs.problem.is_barred.copy())
     return np.asarray(_least_cost(problem, costs.prices, costs.middle_m, first_known))
 
 
 @entry
 def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, first_known: int) -> np.ndarray:
-    """The same. middle_m: (c, 2). first_known: the first plane of those with which the search begins."""
+    """:func:`least_cost`, compiled. middle_m: (c, 2). first_known: the first known plane, 0 without a known roof."""
     choice = _relabelled(problem, prices, first_known)
     if first_known > 0:
         choice = _expanded(problem, prices, choice, ZERO)
@@ -68,7 +69,8 @@ def _around_steps(
     face: np.ndarray,
     sides: np.ndarray,
 ) -> np.ndarray:
-    """The cells around the steps on some sides: of the faces beside these, as far as the steps may move."""
+    """int (n,): the cells among which the steps on ``sides`` may move. They belong to the faces beside these steps, and
+    their middles are within ``around_line_m`` of a cell at a step."""
     is_beside = np.zeros(len(label), np.bool_)
     cells, num, start = np.empty(len(label), np.int64), 0, np.full(len(label), -1)
     for side in sides:
@@ -91,8 +93,9 @@ def _around_steps(
 
 
 class _Slots(NamedTuple):
-    """The number in a part of each cell, face, line and plane of its problem; -1 for none, and for all between parts.
-    is_around: (k,), whether a plane is a candidate of the part, as those around it are."""
+    """Work space of :func:`_part`: the number within the part of each cell, face, line and plane of the whole problem,
+    -1 for what the part does not have. is_around: (k,), whether a plane may be a candidate in the part. Between two
+    parts, everything is -1 or False again."""
 
     cell: np.ndarray
     face: np.ndarray
@@ -114,8 +117,8 @@ def _slots(problem: Problem) -> _Slots:
 
 
 class _Faces(NamedTuple):
-    """The faces of a choice. of_cell: (c,), a number for each cell, which may have been merged into another one since:
-    :func:`find` in ``merged`` tells. length_m: (l,), steps of each line."""
+    """The faces of a choice. of_cell: (c,), the face of each cell; if that face has been merged into another one since,
+    :func:`find` in ``merged`` returns the present face. length_m: (l,), the length of the steps on each line."""
 
     of_cell: np.ndarray
     merged: np.ndarray
@@ -132,10 +135,13 @@ def _part(
     keeps_own: bool,
     slots: _Slots,
 ) -> tuple[Problem, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(the problem of some cells alone, its choice today, its candidates and lines as the problem numbers them, a cell
-    of each face around). Its candidates are the planes around, and with keeps_own those of the choice today.
+    """(part, old, origin, lines, around): the problem in which only ``cells`` may change.
 
-    The choice today is of further candidates, behind those of all cells, as it may be of planes that are not around.
+    old: the present choice, in numbers of the part. origin, lines: the candidate and the line of the whole problem for
+    each candidate and line of the part. around: a cell of each face around ``cells``; it is fixed. Candidates are the
+    planes of the faces around; with ``keeps_own``, also the present planes of ``cells``.
+
+    The present choice consists of extra candidates behind all others, since its planes need not be around.
     """
     num_free, num_sides = len(cells), len(problem.pair)
     num_ends = 0
@@ -164,7 +170,7 @@ def _part(
     for cell in around:
         slots.face[find(faces.merged, faces.of_cell[cell])] = -1
         slots.is_around[problem.number[choice[cell]]] = True
-    # of all cells the present planes, then those that may be chosen
+    # the present planes of all cells, then the planes that may be chosen
     everything = np.concatenate((cells, around))
     planes, num_planes, num_candidates = np.empty(len(slots.plane), np.int64), ZERO, num_around
     for cell in everything:
@@ -191,7 +197,7 @@ def _part(
     number, cell_m3 = slots.plane[problem.number[origin]], problem.cell_m3[origin]
     old = np.concatenate((np.arange(count, count + num_free), first[num_free:-1]))
     slots.plane[planes], slots.is_around[planes] = -1, False
-    # lines, and what steps each has elsewhere
+    # lines, and the length of the steps that each has outside the part
     line, lines, outside_m, num_lines = problem.line[side], np.empty(num, np.int64), np.empty(num), 0
     for k in range(num):
         if slots.line[line[k]] < 0:
@@ -231,11 +237,11 @@ def _part(
 
 @allocating
 def _with_fewer_faces(problem: Problem, prices: PlanePrices, choice: np.ndarray) -> np.ndarray:
-    """The choice (c,) after faces of free cells have given way to those around them, the smallest first, where that
-    saves something. A face that does not is tried again when it has changed."""
+    """The choice (c,) after faces of free cells have been divided among the faces around them, where that lowers the
+    cost. The smallest face is first. A face that stays is tried again only when it has changed."""
     num_cells, choice, slots = len(choice), choice.copy(), _slots(problem)
     number_of = faces_of(problem, problem.number[choice])
-    # a face has the number of one of its cells, and its cells follow each other in a circle
+    # the number of a face is one of its cells; the cells of a face are a circular list
     following, first = np.arange(num_cells), np.full(num_cells, -1)
     of_cell, size = np.empty(num_cells, np.int64), np.zeros(num_cells, np.int64)
     is_open, is_fixed = np.zeros(num_cells, np.bool_), np.zeros(num_cells, np.bool_)
@@ -294,8 +300,8 @@ def _with_fewer_faces(problem: Problem, prices: PlanePrices, choice: np.ndarray)
 
 @allocating
 def _relabelled(problem: Problem, prices: PlanePrices, first_plane: int) -> np.ndarray:
-    """The choice (c,) of planes from ``first_plane`` on, where there are some, that is best for each cell, and then
-    expanded."""
+    """The choice (c,) that is best for each free cell on its own, then expanded (:func:`_expanded`). A cell with
+    candidates among the planes from ``first_plane`` on takes one of these."""
     result = problem.first[:-1].copy()
     for cell in range(problem.num_free):
         begin, end = problem.first[cell], problem.first[cell + 1]
@@ -317,10 +323,10 @@ def _relabelled(problem: Problem, prices: PlanePrices, first_plane: int) -> np.n
 
 @allocating
 def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_plane: int) -> np.ndarray:
-    """The choice (c,) after planes from ``first_plane`` on have taken free cells in turn, as long as that saves
-    something, without the prices of faces and lines."""
+    """The choice (c,) after each plane from ``first_plane`` on has taken free cells in turn (:func:`_taken`), for up to
+    ``_MAX_ROUNDS`` rounds or until none saves anything. The prices of faces and lines do not count."""
     choice, work = choice.copy(), _work(problem)
-    # when a cell, or one beside, has last changed
+    # when a cell, or a cell beside it, has last changed
     changed, time = np.zeros(len(choice), np.int64), 1
     tried = np.full(len(problem.plane), -1)
     for _ in range(_MAX_ROUNDS):
@@ -351,12 +357,12 @@ def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_p
 
 
 class _Work(NamedTuple):
-    """Of :func:`_taken`. cells: those that may be taken, then those that are. candidate: of each of them that of the
-    plane. is_in: bool (c,), whether a cell is one of them. need_m3: what a cell still costs if it is taken; below 0,
-    what it saves. level: of :func:`_measure`. queue: of cells.
+    """Work space of :func:`_taken`. cells: first the cells that may be taken, then the cells that are. candidate: the
+    candidate of the plane for each cell. is_in: bool (c,), whether a cell may be taken. need_m3: what a cell still
+    costs if it is taken; below 0, what it saves. level: see :func:`_measure`. queue: cells.
 
-    By place in ``side_end``, (2 s,): other, the cell at the other hand; back, the place of the way back; rest_m3, what
-    remains of the capacity of the way.
+    The last three have an element for each place in ``side_end``, (2 s,). other: the cell on the other hand. back: the
+    place of the way back. rest_m3: the residual capacity of the way.
     """
 
     cells: np.ndarray
@@ -393,10 +399,10 @@ def _work(problem: Problem) -> _Work:
 def _taken(
     problem: Problem, prices: PlanePrices, choice: np.ndarray, plane: int, num: int, work: _Work
 ) -> int:
-    """How many of the first ``num`` cells of the work, which come to be the first there, a plane takes at least cost
-    in all; 0 if that saves nothing.
+    """The number of cells that a plane takes, out of the first ``num`` of ``work.cells``, so that the cost is least; 0
+    if that saves nothing. The taken cells are the first of ``work.cells`` afterwards.
 
-    This is a minimum cut; those cells are taken that a path still reaches in the end.
+    This is a minimum cut. After the flow, a path still reaches the taken cells from a cell that saves.
     """
     num_sides, number, cells, is_in = len(problem.pair), problem.number, work.cells, work.is_in
     need_m3, rest_m3, level = work.need_m3, work.rest_m3, work.level
@@ -416,8 +422,8 @@ def _taken(
                 rest_m3[place] = 0.0
             else:
                 only_other = only_one if own == theirs else side_m3(problem, prices, side, own, plane)
-                # half of what the two cost more apart than together, as flow either way. 0 is a bound where two planes
-                # side by side cost more than both by way of a third one
+                # what the two cells cost more apart than together, half of it as capacity in each direction. It would
+                # be below 0 where two planes side by side cost more than both beside a third plane
                 apart_m3 = max(only_other + only_one - neither, 0.0) / 2
                 need_m3[cell] += only_one - neither - apart_m3
                 need_m3[other] += apart_m3 - only_one
@@ -446,18 +452,18 @@ def _taken(
 
 @inner
 def _cut(problem: Problem, num: int, work: _Work) -> None:
-    """Sends as much as possible from cells that save to those that cost; ``level`` is then more than ``num`` for cells
-    that no path from what is left reaches.
+    """Sends as much flow as possible from cells that save to cells that cost. Afterwards, ``level`` exceeds ``num`` for
+    cells that no residual path reaches from a cell that still saves.
 
-    Goldberg and Tarjan (A New Approach to the Maximum-Flow Problem, 1988): a cell sends what it has to those beside it
-    that are a step nearer to one that costs, from time to time measured anew. Paths are short, as most cells that save
-    are beside those that cost; to look for paths from all cells, again and again, takes twice as long.
+    Goldberg and Tarjan (A New Approach to the Maximum-Flow Problem, 1988): a cell sends what it saves to cells beside
+    it that are a step nearer to a cell that costs. From time to time the steps are measured anew. Paths are short, as
+    most cells that save are beside cells that cost. Searching for augmenting paths from all cells takes twice as long.
     """
     first, level, queue, cells = problem.side_first, work.level, work.queue, work.cells
     need_m3, rest_m3, others, back = work.need_m3, work.rest_m3, work.other, work.back
     far, num_raised = num + 1, num
     for cell in cells[:num]:
-        # no cell can be nearer
+        # a lower bound of the steps to a cell that costs
         level[cell] = 0 if need_m3[cell] > _GAIN_M3 else 1
     while num_raised >= num:
         num_raised, head, num_waiting = 0, 0, 0
@@ -492,8 +498,8 @@ def _cut(problem: Problem, num: int, work: _Work) -> None:
 
 @inner
 def _measure(problem: Problem, num: int, work: _Work, is_from_start: bool) -> None:
-    """Sets the level of each cell: the steps to it from the nearest one that saves, or else from it to the nearest one
-    that costs; more than ``num`` where there is no path."""
+    """Sets the level of each cell: with ``is_from_start``, the number of steps to it from the nearest cell that saves,
+    otherwise from it to the nearest cell that costs. It is more than ``num`` where there is no path."""
     first, level, queue, sign = problem.side_first, work.level, work.queue, -1.0 if is_from_start else 1.0
     head, tail = 0, 0
     for cell in work.cells[:num]:

@@ -22,12 +22,13 @@ from p2wss.skeleton.types import cross, differs, distinct, next_in_ring, numbere
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05
-# metres: a larger step between two planes is one
+# metres: a smaller difference in height between two planes is no step
 _STEP_M = 0.25
 _MIN_BORDER = 3
-# metres: what is so near to a line is on it; with a millimetre, walls would be hundredths of one off their planes
+# metres: places this near to a line are on it; with a millimetre, walls would be hundredths of a millimetre off their
+# planes
 _ON_M = 1e-6
-# metres: as they are, 39 of 6,000 grids in whole millimetres fail; moved by this, none
+# metres: the triangulation fails for 39 of 6,000 grids in whole millimetres, and for none if points are moved by this
 _SHAKE_M = 1e-3
 # points whose neighbours are found together
 _STRIP = 25_000
@@ -53,7 +54,7 @@ class Line(NamedTuple):
         return np.array([-self.normal[1], self.normal[0]])
 
     def along(self, xy_m: np.ndarray, reach_m: float) -> Line:
-        """The line as far as places (m, 2) beside it, and further."""
+        """The line, extended to ``reach_m`` beyond the places (m, 2) beside it. A line without ends is cut to that."""
         place = xy_m @ self.direction
         low, high = (self.low_m, self.high_m) if self.low_m > -np.inf else (np.inf, -np.inf)
         return self._replace(low_m=min(low, place.min() - reach_m), high_m=max(high, place.max() + reach_m))
@@ -67,7 +68,7 @@ def as_arrays(lines: Sequence[Line]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ends_of(lines: Sequence[Line], far_m: float = np.inf) -> np.ndarray:
-    """(l, 2, 2), the ends of lines, at most so far from the place of a line that is nearest to the origin."""
+    """(l, 2, 2), the ends of lines, each at most ``far_m`` from the place on its line that is nearest to the origin."""
     normal, offset_m = as_arrays(lines)
     place = np.array([(line.low_m, line.high_m) for line in lines]).reshape(-1, 2).clip(-far_m, far_m)
     direction = np.column_stack([-normal[:, 1], normal[:, 0]])
@@ -108,7 +109,7 @@ def lines_of(
 
 
 def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) -> list[Line]:
-    """The lines, which go on from their ends where nothing is seen."""
+    """The lines, extended beyond their ends by up to ``hidden_m`` less ``reach_m``, as far as nothing is seen."""
     further_m = settings.hidden_m - settings.reach_m
     if further_m <= 0.0 or not lines:
         return list(lines)
@@ -119,7 +120,7 @@ def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) 
     # far from all points, finding the nearest takes long
     is_seen = ((place_m > xy_m.min(axis=0) - reach_m) & (place_m < xy_m.max(axis=0) + reach_m)).all(axis=3)
     is_seen[is_seen] = nearest(xy_m, place_m[is_seen])[0][:, 0] < reach_m
-    # up to the last place before one that is seen
+    # up to the last place before the first one that is seen
     num = np.where(is_seen.any(axis=2), is_seen.argmax(axis=2), len(way_m))
     low_m, high_m = way_m[np.maximum(num - 1, 0)].T.tolist()
     return [
@@ -129,8 +130,8 @@ def _into_shadow(lines: Sequence[Line], point_m: np.ndarray, settings: Drawing) 
 
 
 class _Links(NamedTuple):
-    """Between points of two planes that are side by side. pair: (p, 2), planes. of_pair: (l,). row: (l, 2), of the
-    points, in the order of the planes."""
+    """Links between neighbouring points of different planes. pair: (p, 2), the planes. of_pair: (l,), the pair of each
+    link. row: (l, 2), its points, in the order of the planes."""
 
     pair: np.ndarray
     of_pair: np.ndarray
@@ -146,9 +147,9 @@ def _parts_of_steps(
     along: Sequence[float],
     settings: Drawing,
 ) -> list[Line]:
-    """Lines along the parts of steps that turn, as around a corner of the higher roof: those that divide the most of
-    the links that no other line divides. own: (k,), the directions of the planes. lines: the others. The rest as of
-    :func:`lines_of`."""
+    """Lines along the parts of steps that turn, as around a corner of the higher roof. Of the links across a step, some
+    are divided by none of ``lines``. Each new line is the one that divides the most of these. own: (k,), the directions
+    of the planes, radians. lines: all lines found before. Other arguments: see :func:`lines_of`."""
     pair, of_pair, row = links
     middle_m = point_m[row, :2].mean(axis=1)
     is_step = np.abs(height_over(plane[pair[:, 0]] - plane[pair[:, 1]], of_pair, middle_m)) > _STEP_M
@@ -199,8 +200,8 @@ def _crossed(link_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
 
 
 def _longest(link_m: np.ndarray, normals: np.ndarray, settings: Drawing) -> tuple[Line, np.ndarray]:
-    """(the line across one of some normals (d, 2) that divides the most of the links (l, 2, 2) that go along the normal
-    and are side by side; their rows)."""
+    """(line, rows): the line across one of the ``normals`` (d, 2) that divides the longest row of links, and the rows
+    of these links in ``link_m`` (l, 2, 2). They go along the normal and have no gap over ``near_m`` between them."""
     off_m = link_m @ normals.T
     goes_along = (off_m[:, 0] < off_m[:, 1]).astype(int)
     at_m, change = np.concatenate([off_m[:, 0], off_m[:, 1]]), np.concatenate([goes_along, -goes_along])
@@ -225,7 +226,7 @@ def _longest(link_m: np.ndarray, normals: np.ndarray, settings: Drawing) -> tupl
 
 
 def _normals(directions: Sequence[float]) -> np.ndarray:
-    """(4 d, 2), the unit vectors along some directions, in radians, across them, and both backwards."""
+    """(4 d, 2), four unit vectors for each direction, radians: along it and across it, forwards and backwards."""
     turned = np.add.outer(directions, np.arange(4) * np.pi / 2).ravel()
     return np.column_stack([np.cos(turned), np.sin(turned)])
 
@@ -233,12 +234,12 @@ def _normals(directions: Sequence[float]) -> np.ndarray:
 def _between(
     plane: np.ndarray, links: _Links, point_m: np.ndarray, along: Sequence[float], settings: Drawing
 ) -> tuple[list[Line], list[Line]]:
-    """(lines on which planes side by side meet, lines of steps between them); arguments as of :func:`lines_of`."""
+    """(lines on which planes side by side meet, lines of steps between them). Arguments: see :func:`lines_of`."""
     (side, border_m), pair = _borders(links, point_m), links.pair
     of_pair, (x, y) = side // 2, border_m.T
     slope = plane[pair[:, 0]] - plane[pair[:, 1]]
     fold = np.hypot(slope[:, 0], slope[:, 1])
-    # planes meet where the product of these with x, y and 1 is 0
+    # planes meet where ``meet @ (x, y, 1)`` is 0
     meet = slope / np.maximum(fold, _PARALLEL)[:, None]
     normal_x, normal_y, height_m = meet[of_pair].T
     off_m = np.where((fold > _PARALLEL)[of_pair], np.abs(x * normal_x + y * normal_y + height_m), np.inf)
@@ -258,12 +259,12 @@ def _between(
 
 
 def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
-    """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
+    """(line, whether it goes on inside the footprint beyond a reflex corner) for each edge of a footprint."""
     end_m, after = edge_ends(rings), next_in_ring(np.cumsum([0, *map(len, rings)]))
     edge = end_m[:, 1] - end_m[:, 0]
     normal = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.hypot(edge[:, 0], edge[:, 1])[:, None]
     offset_m = (normal * end_m[:, 0]).sum(axis=1).tolist()
-    # at the end of each, and at its start
+    # a reflex corner at the end of each edge, or at its start
     goes_on = cross(edge, edge[after]) < 0
     goes_on[after] |= goes_on.copy()
     return [(Line(*line), further) for *line, further in zip(normal, offset_m, goes_on.tolist(), strict=True)]
@@ -271,22 +272,23 @@ def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
 
 @cache
 def _shake_m(size: int) -> np.ndarray:
-    """Small moves (size, 2), of which fewer would be the first."""
+    """Small random moves (size, 2). The moves of a smaller size are the first of a larger one."""
     return np.random.default_rng(0).uniform(-_SHAKE_M, _SHAKE_M, (size, 2))
 
 
 def _borders(links: _Links, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(sides (m,), places (m, 2)) of points of one plane that are beside a point of another. Sides ascend: ``2 k`` at
-    the first plane of pair k, ``2 k + 1`` at the second."""
+    """(side (m,), place (m, 2)) of the points of one plane with a link to a point of another. Sides ascend: ``2 k`` for
+    points of the first plane of pair k, ``2 k + 1`` for points of the second."""
     size = len(point_m)
     side, row = np.divmod(distinct((2 * links.of_pair[:, None] + [0, 1]) * size + links.row), size)
     return side, point_m[row, :2]
 
 
 def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
-    """Of Delaunay's triangles over all points; those of up to ``near_m``."""
+    """The edges between two planes in the Delaunay triangulation of all points that have a plane, if they are shorter
+    than ``near_m`` in plan."""
     rows = np.flatnonzero(label >= 0)
-    # of points at one place the first
+    # the first of the points at the same place
     rows = rows[np.lexsort((point_m[rows, 1], point_m[rows, 0]))]
     rows = rows[np.append(True, (point_m[rows[1:], :2] != point_m[rows[:-1], :2]).any(axis=1))[: len(rows)]]
     if len(rows) < 4:
@@ -294,7 +296,8 @@ def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
     # GEOS fails on some regular grids, so that each point is moved a little
     site_m = point_m[rows, :2] + _shake_m(1 << len(rows).bit_length())[: len(rows)]
     links, x_m = [], point_m[rows, 0]
-    # of many points in strips across, with what is beside: GEOS takes half a kilobyte for each, and no single one
+    # many points are divided into strips that overlap: GEOS takes half a kilobyte for each,
+    # and fails for a single one
     cuts = np.linspace(0, len(rows), -(-len(rows) // _STRIP) + 1).astype(int).tolist()
     for first, last in pairwise(cuts):
         low, high = np.searchsorted(x_m, (x_m[first] - 2 * near_m, x_m[last - 1] + 2 * near_m))
@@ -318,9 +321,10 @@ def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
 def _steps(
     border_m: np.ndarray, num_off: np.ndarray, normal: np.ndarray, wrong_share: float, reach_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(numbers (l,) of normals (d, 2), offset, low and high end (l, 3)) of the lines across them that have the places
-    of one plane on one hand and those of the other on the other, but for ``wrong_share`` of the fewer. border_m:
-    (m, 2), the places of each pair of planes. num_off: (p, 2), how many are of its first and of its second plane."""
+    """(normal (l,), offset, low and high end (l, 3)) of the lines that divide the places of two planes, as indices of
+    ``normal`` (d, 2). The places on the wrong side are fewer than ``wrong_share`` of the places of the plane that has
+    fewer. border_m: (m, 2), the places, pair by pair. num_off: (p, 2), how many places are of the first and of the
+    second plane of each pair."""
     most, first, num = len(num_off) * len(normal), 0, 0
     direction, line = np.empty(most, np.int64), np.empty((most, 3))
     for num_one, num_other in num_off:
@@ -357,9 +361,10 @@ def _extents(
     begin: np.ndarray,
     reach_m: float,
 ) -> np.ndarray:
-    """(offset, low and high end of lines (4 k, 3)), two across each of the ``axes`` (2 k, 2), of which each plane has
-    two: the sides of the rectangle around its points, without the strips along them that have more of the points off
-    the plane. by_x, by_label: the order of the points, and where those of each plane ``begin`` (k + 1,)."""
+    """(4 k, 3): offset, low and high end of four lines for each plane, the sides of the rectangle around its points.
+    Strips along a side where more points are off the plane than on it are left out of the rectangle. axes: (2 k, 2),
+    two unit vectors for each plane; two lines are across each. by_x, by_label: points by their first coordinate, and
+    plane by plane. begin: (k + 1,), the first element of each plane in ``by_label``."""
     result, x_m = np.empty((4 * len(plane), 3)), point_m[by_x, 0]
     own_m, other_m = np.empty((2, len(label))), np.empty((2, len(label)))
     for number in range(len(plane)):
@@ -371,7 +376,7 @@ def _extents(
         for k in range(2):
             own_m[k, :num] = own_m[k, :num][order_of(own_m[k, :num])]
         (left, bottom), (right, top) = own_m[:, 0], own_m[:, num - 1]
-        # what is as far along both axes of coordinates
+        # the bounds of the rectangle in x and y
         low_x = min(cosine * left, cosine * right) + min(-sine * bottom, -sine * top)
         high_x = max(cosine * left, cosine * right) + max(-sine * bottom, -sine * top)
         low_y = min(sine * left, sine * right) + min(cosine * bottom, cosine * top)
@@ -387,7 +392,7 @@ def _extents(
             other_m[k, :num_others] = other_m[k, :num_others][order_of(other_m[k, :num_others])]
             margin_m = (own_m[k, num - 1] - own_m[k, 0]) / num**0.5 / 2
             from_m, to_m = own_m[k, first] - margin_m, own_m[k, last] + margin_m
-            # how many more of the plane than others are up to each place, where they are least and most
+            # ``more``: how many more points on the plane than off it are up to each place; where it is least and most
             more, least, most, own, other, is_least, is_most = 0, 0, 0, 0, 0, False, False
             least_m = most_m = 0.0
             while own < num or other < num_others:
@@ -402,7 +407,7 @@ def _extents(
                     least, least_m = more, here_m
                 if is_most:
                     most, most_m = more, here_m
-            # the direction of the first axis is the second axis, that of the second is against the first
+            # a line across the first axis runs along the second axis, a line across the second against the first
             low_m, high_m = (
                 (bottom - reach_m, top + reach_m) if k == 0 else (-right - reach_m, reach_m - left)
             )
@@ -412,7 +417,8 @@ def _extents(
 
 
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
-    """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
+    """The lines of steps, each once. A step near to an edge of the footprint, or to an earlier step, becomes a part of
+    the line of that edge or step."""
     targets, end_m = [*edges, *steps], ends_of(steps)
     normal, offset_m = as_arrays(targets)
     min_along = float(np.cos(np.radians(settings.same_deg / 2)))
@@ -436,8 +442,9 @@ def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) ->
 def _first_same(
     normal: np.ndarray, offset_m: np.ndarray, middle_m: np.ndarray, min_along: float, snap_m: float
 ) -> np.ndarray:
-    """int (s,): of each of the last lines, with these middles (s, 2), the first one along it that it is near to, of the
-    lines before these and those that are near to no other: or else itself."""
+    """int (s,): the line that each of the last s lines, with the middles ``middle_m`` (s, 2), is a part of. This is the
+    first line in nearly the same direction that is near to its middle, out of the lines before these and of the earlier
+    ones that are a part of no other; or else itself."""
     num_edges = len(normal) - len(middle_m)
     used, num_used, result = np.arange(len(normal)), num_edges, np.empty(len(middle_m), np.int64)
     for k in range(len(middle_m)):
@@ -455,8 +462,8 @@ def _first_same(
 
 
 def _through_corners(lines: Sequence[Line], corner_m: np.ndarray, near_m: float) -> list[Line]:
-    """The lines, those that pass by corners (n, 2) of the footprint as lines from one to the next: else, there would be
-    a wall as narrow as what is between."""
+    """The lines, bent so that a line that passes near to corners (n, 2) of the footprint goes through them: from one
+    corner to the next, and parallel to itself beyond. Otherwise there would be a wall as narrow as the gap between."""
     normal, offset_m = as_arrays(lines)
     direction = np.column_stack([-normal[:, 1], normal[:, 0]])
     off_m, place = np.abs(normal @ corner_m.T - offset_m[:, None]), direction @ corner_m.T

@@ -20,7 +20,8 @@ _NEARLY_ALONG = np.radians(8)
 
 
 def regular(planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float]) -> np.ndarray:
-    """Planes (k, 3) near to those detected, some of them the same. along: directions of the footprint, radians."""
+    """Regular planes (k, 3) near to the detected planes. Some of them are the same. along: directions of the footprint,
+    radians."""
     bearing = bearings(planes.plane[:, :2])
     turns = turn_between(bearing[:, None], np.array(along))
     turn = turns[np.arange(len(turns)), np.abs(turns).argmin(axis=1)]
@@ -32,7 +33,8 @@ def regular(planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float]) -> 
 def _regular(
     plane: np.ndarray, label: np.ndarray, point_m: np.ndarray, towards: np.ndarray, settings: Detection
 ) -> np.ndarray:
-    """The same. towards: (k,), the direction along which each plane may rise, radians, not a number for none."""
+    """:func:`regular`, compiled. towards: (k,), the direction along which each plane may rise, radians; NaN for
+    none."""
     begin, order = sorted_by(label, len(plane))
     rows_of = [order[begin[i] : begin[i + 1]] for i in range(len(plane))]
     result = plane.copy()
@@ -53,14 +55,14 @@ def _regular(
     by_size = sorted_by(size.max() - size, size.max() + 1)[1]
     result = _equally_steep(result, point_m, rows_of, by_size, settings.simpler_m)
     for i, other in enumerate(_same(result, point_m, rows_of, by_size, settings.simpler_m)):
-        # one that others are like is its own
+        # a plane that others are replaced by is not replaced itself
         result[i] = result[other]
     return result
 
 
 @allocating
 def _at_median(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """A plane (3,) raised so that it is above as many of the points in ``rows`` as it is below."""
+    """A plane (3,) moved up or down so that as many of the points in ``rows`` are above it as below."""
     above_m = np.empty(len(rows))
     for k, row in enumerate(rows):
         above_m[k] = point_m[row, 2] - point_m[row, 0] * plane[0] - point_m[row, 1] * plane[1]
@@ -81,7 +83,8 @@ def _along(point_m: np.ndarray, rows: np.ndarray, bearing: float, noise_m: float
 def _equally_steep(
     plane: np.ndarray, point_m: np.ndarray, rows_of: list[np.ndarray], by_size: np.ndarray, slack_m: float
 ) -> np.ndarray:
-    """Planes of which those that are nearly as steep as a larger one are exactly as steep."""
+    """The planes (k, 3), where a plane that is nearly as steep as a larger one becomes exactly as steep, if its points
+    allow it. by_size: the planes, largest first."""
     steep = np.hypot(plane[:, 0], plane[:, 1])
     result, is_set = plane.copy(), steep < _NEARLY_LEVEL / 10
     for i in by_size:
@@ -100,7 +103,8 @@ def _equally_steep(
 def _same(
     plane: np.ndarray, point_m: np.ndarray, rows_of: list[np.ndarray], by_size: np.ndarray, slack_m: float
 ) -> np.ndarray:
-    """int (k,): of each plane the number of the larger one that is as near to its points, or its own."""
+    """int (k,): for each plane, the number of the largest plane that is nearly as near to its points, or its own number
+    if there is none."""
     same, num_larger = np.arange(len(plane)), 0
     larger = np.empty(len(plane), np.int64)
     for j in by_size:

@@ -12,16 +12,16 @@ from p2wss.skeleton.ordering import sorted_by
 def rings_around(
     vertex_m: np.ndarray, half: np.ndarray, number: np.ndarray, axes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(vertices of the rings that half-edges make around faces, (k,), ring after ring; how long each is, (r,); the face
-    of each, (r,); twice its area, negative of a hole, (r,)): no ring has a vertex twice, and dead ends are in none.
+    """(vertices of the rings that half-edges make around faces, (k,), ring after ring; the length of each ring, (r,);
+    its face, (r,); twice its area, negative for a hole, (r,)). No ring has a vertex twice, and no dead end is in one.
 
-    vertex_m: (v, 3). half: int64 (h, 2), vertices; a face is to their left. number: int64 (h,), of the face. axes: (f,
-    2, 3), two unit vectors in each, counter-clockwise.
+    vertex_m: (v, 3). half: int64 (h, 2), the vertices of each half-edge. number: int64 (h,), the face to its left.
+    axes: (f, 2, 3), two unit vectors in the plane of each face, counter-clockwise.
     """
     begin, at = sorted_by(half[:, 0].copy(), len(vertex_m))
     ring, of_face, area = np.empty(len(half), np.int64), np.empty(len(half), np.int64), np.empty(len(half))
     ring_size, num, num_rings = np.empty(len(half), np.int64), 0, 0
-    # the way so far, and where in it a vertex is
+    # the path so far, and the position of each vertex in it
     path, position = np.empty(len(half), np.int64), np.full(len(vertex_m), -1)
     is_done = np.zeros(len(half), np.bool_)
     for first in range(len(half)):
@@ -42,7 +42,7 @@ def rings_around(
             if k < 0:
                 break
             is_done[k], path[size], position[v], size = True, v, size, size + 1
-            # where a face touches itself, the way goes on around the same part of it
+            # where a face touches itself, the path goes on around the same part of the face
             onward, least = -1, np.inf
             for m in at[begin[half[k, 1]] : begin[half[k, 1] + 1]]:
                 if number[m] == face and not is_done[m]:
@@ -55,7 +55,7 @@ def rings_around(
 
 @inner
 def _in_plane(vertex_m: np.ndarray, axes: np.ndarray, place: int, origin: int) -> tuple[float, float]:
-    """The coordinates of a vertex from another one along the axes (2, 3)."""
+    """The coordinates of the vertex ``place`` relative to the vertex ``origin``, along the axes (2, 3)."""
     x, y, z = (
         vertex_m[place, 0] - vertex_m[origin, 0],
         vertex_m[place, 1] - vertex_m[origin, 1],
@@ -76,7 +76,7 @@ def _doubled_area(vertex_m: np.ndarray, axes: np.ndarray, ring: np.ndarray) -> f
 
 @inner
 def _turn(vertex_m: np.ndarray, axes: np.ndarray, before: int, place: int, after: int) -> float:
-    """The angle from the way back to the way on, clockwise."""
+    """The angle at ``place``, clockwise, from the direction of ``before`` to the direction of ``after``."""
     x, y = _in_plane(vertex_m, axes, before, place)
     on_x, on_y = _in_plane(vertex_m, axes, after, place)
     return (np.arctan2(y, x) - np.arctan2(on_y, on_x) - 1e-12) % (2 * np.pi)

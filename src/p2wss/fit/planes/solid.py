@@ -1,7 +1,7 @@
 """The closed solid below planes that cover the cells of a footprint: roofs, walls between them and below, a floor.
 
-Everything is exact: a vertex lies where the lines around it meet, so faces are planar and walls upright, and vertices
-of different faces are one only where the planes meet.
+A vertex lies exactly where the lines around it meet. So faces are planar, walls are upright, and different faces share
+a vertex only where their planes meet.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from p2wss.mesh.triangulation import axes_of, triangulated
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.types import FaceKind, distinct, numbered, writable
 
-# metres: planes meet along an edge whose ends are so near in plan to the line where they do; no vertex moves further
+# metres: two planes meet along an edge if both its ends are this near in plan to the line on which the planes meet; no
+# vertex moves further than the second figure
 _MEET_M, _MAX_MOVE_M = 0.06, 0.15
 # how much more exactly edges of the footprint, and lines on which planes meet, determine a vertex than steps do
 _FOOTPRINT_WEIGHT, _MEET_WEIGHT, _KEEP_WEIGHT = 100.0, 30.0, 1e-6
 _PARALLEL = 0.03
-# of the normal of a level roof, the least z
+# the least z of the unit normal of a level roof
 _LEVEL_NZ = 0.9999
 
 
@@ -47,8 +48,8 @@ def solid_below(
 
 
 def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """The ends of some sides around which, as these show, roofs are high and low in turn: four walls would share an
-    upright edge, which no solid has."""
+    """The ends of ``sides`` around which roofs are high and low in turn, as far as these sides show. Four walls would
+    share an upright edge there, which no solid has."""
     place = cells.side[sides].T.ravel()
     # the ground is the last plane
     number, plane = (
@@ -67,7 +68,8 @@ def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np
 @dataclass(frozen=True)
 class _Borders:
     """Sides between faces. side: int64 (s, 2), vertices. face: int64 (s, 2), the planes to the left and to the right.
-    line: int64 (s,), of the arrangement, on which each is. xy_m: (v, 2). is_fixed: bool (v,), corners."""
+    line: int64 (s,), the line of the arrangement on which each side is. xy_m: (v, 2). is_fixed: bool (v,), whether a
+    vertex is a corner of the footprint."""
 
     side: np.ndarray
     face: np.ndarray
@@ -90,10 +92,12 @@ class _Borders:
         return cls(side, face, line, xy_m, is_fixed)
 
     def exact_places(self, cells: Arrangement, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(vertices (v, 2) where the lines around them meet, by least squares; by side and face beside it, what walls
-        in one plane have in common, int64 (s, 2), numbered from 0: a line, or the two planes that meet there, and a
-        side of it). All vertices along a line get the same one, so that walls stay planes when vertices within them are
-        dropped."""
+        """(vertices (v, 2) where the lines around them meet, by least squares; wall, int64 (s, 2)).
+
+        wall: the number, from 0, of the wall below the left and the right face of each side. Walls in one plane have
+        the same number: they are on the same hand of the same line of the arrangement, or of the line on which the same
+        two planes meet. All vertices along a line are fitted to one line, so walls stay planar when vertices within
+        them are dropped."""
         xy_m, edge, line, (left, right) = self.xy_m, self.side, self.line, self.face.T
         is_outer, slope, ends_m = right == OUTSIDE, plane[left] - plane[right], xy_m[edge]
         fold = np.hypot(slope[:, 0], slope[:, 1])
@@ -111,7 +115,7 @@ class _Borders:
         both = len(plane) * self.face + self.face[:, ::-1] + len(normals)
         wall = 2 * np.where(is_meet[:, None], both, line[:, None]) + is_left
         weight = np.where(is_edge, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
-        # of each vertex a matrix and the right side; those that nothing determines stay
+        # the matrix and the right side of each vertex; a vertex that nothing determines stays
         matrix = (weight[:, None, None] * normal[:, :, None] * normal[:, None]).reshape(-1, 4)
         terms = np.concatenate([matrix, (weight * offset_m)[:, None] * normal], axis=1)
         keep = np.concatenate(
@@ -136,8 +140,9 @@ class _Borders:
     def solid(
         self, wall: np.ndarray, plane: np.ndarray, place_m: np.ndarray, is_whole: bool = True
     ) -> Mesh | None:
-        """The closed mesh below planes, None if there is none. wall, place_m: see :meth:`exact_places`. is_whole:
-        whether walls in one plane are one face, without the vertices within edges."""
+        """The closed mesh below planes; None if it is not closed, if a ring has fewer than three corners, or if a plane
+        falls below height 0. wall, place_m: see :meth:`exact_places`. is_whole: whether walls in one plane are one
+        face, without the vertices within edges."""
         num, ahead = len(plane), place_m[self.side[:, 1]] - place_m[self.side[:, 0]]
         # walls, which are seen from the right of their faces, are numbered after planes and the floor
         away = (np.column_stack([each, -each]).ravel() for each in (ahead[:, 1], -ahead[:, 0]))
@@ -156,7 +161,7 @@ class _Borders:
         )
         of_ring = np.repeat(np.arange(len(size)), size)
         if is_whole:
-            # those of two planes are within an edge
+            # a vertex of only two faces is within an edge
             num_at = np.bincount(distinct(ring * len(normal) + face[of_ring]) // len(normal))
             is_corner = num_at[ring] != 2
             ring, of_ring = ring[is_corner], of_ring[is_corner]
@@ -174,8 +179,8 @@ def _triangles(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(vertices of triangles (t, 3), the face of each, (t,)) of rings, each a polygon or a hole in another one.
 
-    place: (k, 2), the corners of all rings, each in the plane of its face. vertex, ring: (k,), of each corner. face,
-    area: (r,), of each ring; areas of holes are negative.
+    place: (k, 2), the corners of all rings, in coordinates of the planes of their faces. vertex, ring: (k,), the vertex
+    and the ring of each corner. face, area: (r,), the face and the area of each ring; areas of holes are negative.
     """
     around, is_hole = np.arange(len(face)), area < 0
     if is_hole.any():

@@ -20,14 +20,15 @@ SAME_HEIGHT_M = 4e-3
 def straightened(
     side: np.ndarray, face: np.ndarray, line: np.ndarray, xy_m: np.ndarray, is_fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(side, face, line) without sides of no length and vertices within straight ones.
+    """(side, face, line) without sides of no length and without vertices within straight edges.
 
-    side: int64 (s, 2), the vertices of each. face: int64 (s, 2), those to its left and to its right, or OUTSIDE. line:
-    int64 (s,), on which it is; of the longer piece where two become one. xy_m: (v, 2). is_fixed: bool (v,), vertices
-    that stay. A side of the result has a face to its left, and where it has two, begins with the smaller number.
+    side: int64 (s, 2), the vertices of each side. face: int64 (s, 2), the faces to its left and to its right, or
+    OUTSIDE. line: int64 (s,), the line of each side; where two sides become one, the line of the longer one. xy_m:
+    (v, 2). is_fixed: bool (v,), vertices that stay. A side of the result has a face to its left; if it has two faces,
+    its first vertex has the smaller number.
     """
     side, face, line = side.copy(), face.copy(), line.copy()
-    # when each was made
+    # the order in which sides are made
     rank, num_made, is_gone = np.arange(len(side)), len(side), np.zeros(len(side), np.bool_)
     for k in range(len(side)):
         a, b = side[k]
@@ -42,7 +43,7 @@ def straightened(
             side[k] = -1
     begin, at = sorted_by(side.ravel(), len(xy_m))
     at //= 2
-    # each vertex that goes puts its neighbours there once more
+    # each vertex that is dropped adds its two neighbours again
     pending, num = np.empty(3 * len(xy_m) + 1, np.int64), ZERO + len(xy_m)
     pending[:num] = np.arange(num)[::-1]
     while num:
@@ -93,8 +94,8 @@ def _contracted(
     end: int,
     gone: int,
 ) -> bool:
-    """Makes both ends of a short side one vertex, if no two faces are then on one side of another side; whether it did.
-    A face of no width vanishes."""
+    """Moves the ends ``gone`` of all sides to ``end``, so that the side ``short`` between them vanishes. Returns False,
+    and changes nothing, if a side would then have two faces on one hand. A face of no width vanishes."""
     for is_tried in (True, False):
         for t in range(len(side)):
             if is_gone[t] or t == short or (side[t, 0] != gone and side[t, 1] != gone):
@@ -111,7 +112,7 @@ def _contracted(
                     side[t, at_gone] = end
                 continue
             at_end, num_kept = 0 if side[u, 0] == end else 1, 0
-            # left and right of the two from their common end; what is between them vanishes
+            # the faces left and right of both sides, seen from their common end; the face between them vanishes
             one, other = (face[u, at_end], face[t, at_gone]), (face[u, 1 - at_end], face[t, 1 - at_gone])
             for left, right, h in ((one, other, at_end), (other, one, 1 - at_end)):
                 keeps = left[0] != OUTSIDE and left[0] != right[0] and left[0] != right[1]
@@ -138,12 +139,12 @@ def rings_below(
     axes: np.ndarray,
     is_whole: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(vertices (v, 3); the rings of all faces of the solid from height 0 to planes, int64 (k,), ring after ring; how
-    long each is, (r,); the face of each, (r,); twice its area, negative of a hole, (r,)): no ring has a vertex twice.
+    """(vertices (v, 3); the rings of all faces of the solid from height 0 to planes, int64 (k,), ring after ring; the
+    length of each ring, (r,); its face, (r,); twice its area, negative for a hole, (r,)). No ring has a vertex twice.
 
-    side, face: see :func:`straightened`. wall: int64 (s, 2), the numbers of the walls below the faces on both sides.
-    plane: (p, 3). Faces are numbered like planes, then come the floor and the walls. axes: (f, 2, 3), in each.
-    is_whole: whether walls in one plane are one, and not one for each side.
+    side, face: see :func:`straightened`. wall: int64 (s, 2), the numbers of the walls below the left and the right face
+    of each side. plane: (p, 3). Faces are numbered: first the planes, then the floor and the walls. axes: (f, 2, 3),
+    two unit vectors in the plane of each face. is_whole: see :func:`_half_edges`.
     """
     side, face, wall, xy_m = _divided(side, face, wall, xy_m, plane)
     vertex_m, vertex = _columns(side, face, xy_m, plane)
@@ -160,8 +161,8 @@ def _height(plane: np.ndarray, number: int, x: float, y: float) -> float:
 def _divided(
     side: np.ndarray, face: np.ndarray, wall: np.ndarray, xy_m: np.ndarray, plane: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The same (side, face, wall, vertices) with those sides divided along which two roofs change places as the higher
-    one."""
+    """(side, face, wall, vertices), where a side is divided if one roof is higher at its start and the other at its
+    end."""
     num, num_places, num_sides = len(side), len(xy_m), len(side)
     side, face = np.concatenate((side, side)), np.concatenate((face, face))
     wall, xy_m = np.concatenate((wall, wall)), np.concatenate((xy_m, np.empty((num, 2))))
@@ -184,8 +185,8 @@ def _divided(
 def _columns(
     side: np.ndarray, face: np.ndarray, xy_m: np.ndarray, plane: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices (v, 3), those over each place one after the other from below; of each end of each side, and each face
-    beside it, the vertex, int64 (s, 2, 2))."""
+    """(vertices (v, 3), column by column and from below in each; vertex, int64 (s, 2, 2)). vertex: for each side, the
+    vertex at each of its ends of each face beside it. A column is all vertices over one place."""
     vertex_m, vertex, num = np.empty((4 * len(side), 3)), np.empty(4 * len(side), np.int64), 0
     begin, at = sorted_by(side.ravel(), len(xy_m))
     height_m, number = np.empty(4 * len(side)), np.empty(4 * len(side), np.int64)
@@ -237,15 +238,16 @@ def _half_edges(
     floor: int,
     is_whole: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(half-edges (h, 2) of vertices around the faces, which are to their left; the number of the face of each, (h,)).
-    vertex: see :func:`_columns`. floor: its number."""
+    """(the vertices (h, 2) of the half-edges around faces; the number of the face to the left of each, (h,)). vertex:
+    see :func:`_columns`. floor: the number of the floor. is_whole: whether upright edges within a wall, between sides
+    with the same number ``wall``, are left out."""
     num_steps = 0
     for k in range(len(side)):
         for e in range(2):
             num_steps += abs(vertex[k, e, 0] - vertex[k, e, 1])
     size = 6 * len(side) + num_steps
     half, number, num = np.empty((size, 2), np.int64), np.empty(size, np.int64), 0
-    # steps between vertices of a column: the lower one, and up or down
+    # upright half-edges between two vertices of a column: the lower vertex, the wall, and the direction
     step, step_wall, is_up, num_steps = (
         np.empty(num_steps, np.int64),
         np.empty(num_steps, np.int64),
@@ -273,7 +275,7 @@ def _half_edges(
                 for v in range(one, other):
                     step[num_steps], step_wall[num_steps], is_up[num_steps] = v, wall[k, h], goes_up
                     num_steps += 1
-    # within a whole wall, one way up and one down are none
+    # within a whole wall, a half-edge up and one down cancel out
     begin, at = sorted_by(step[:num_steps], num_vertices)
     for v in range(num_vertices):
         for i in range(begin[v], begin[v + 1]):

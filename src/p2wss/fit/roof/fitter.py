@@ -38,13 +38,13 @@ def fit_roof(
     settings: Parametric = PARAMETRIC,
     max_roof_height_m: float = np.inf,
 ) -> FittedRoof | None:
-    """The best roof over a polygon for the points (m, 3) inside it, one at least, which are in the frame of the rings,
-    with whole degrees where that costs little. None with a polygon that the kernel refuses. Deterministic, whatever the
-    order of the points.
+    """The best roof over a polygon for the points (m, 3) inside it, with whole degrees where that costs little. There
+    is at least one point, and points are in the frame of the rings. None if the kernel refuses the polygon. The result
+    does not depend on the order of the points.
 
     max_roof_height_m: above the eave.
 
-    The loss is never above that of a flat roof.
+    The loss is never above the loss of a flat roof.
     """
     ordered_m = point_m[even_order(point_m)]
     polygon = Polygons.from_rings([list(rings)])
@@ -67,8 +67,8 @@ def fit_roof(
 
 
 def edge_groups(rings: Sequence[np.ndarray], same_deg: float = 12.0) -> tuple[np.ndarray, np.ndarray]:
-    """(direction (n,), axis (n,)) of the edges: numbers that are the same where edges face the same way, and where they
-    are parallel; 0 is that of the greatest total length."""
+    """(direction (n,), axis (n,)) of the edges. Edges that face the same way have the same direction, parallel edges
+    the same axis. Number 0 has the greatest total length."""
     edge = np.diff(edge_ends(rings), axis=1)[:, 0]
     bearing_deg = np.degrees(bearings(edge))
     # lengths are compared in whole millimetres, so that rounding errors decide nothing
@@ -94,7 +94,8 @@ def _starts(axis: np.ndarray, settings: Parametric) -> np.ndarray:
 
 
 def _descended(problem: Problem, roof: Roofs) -> Roofs:
-    """The roof after those changes of single edges and of whole directions, the best first, that lower the loss."""
+    """The roof after changes of single edges and of whole directions. The best change is made, as long as one lowers
+    the loss enough."""
     settings = problem.settings
     num_edges = len(problem.direction)
     num_directions = int(problem.direction.max()) + 1
@@ -114,7 +115,7 @@ def _descended(problem: Problem, roof: Roofs) -> Roofs:
 
 
 def _class_gain_m(problem: Problem) -> float:
-    """What another class of an edge has to gain with so many points."""
+    """The least gain for which an edge changes its class, metres; more with few points."""
     settings = problem.settings
     return settings.class_gain_m * max(1.0, settings.full_num_points / len(problem.point_m))
 
@@ -122,7 +123,8 @@ def _class_gain_m(problem: Problem) -> float:
 def _changed(
     angle_deg: np.ndarray, units: np.ndarray, direction: np.ndarray, settings: Parametric
 ) -> np.ndarray:
-    """Angles (k, n): every other class and slope of each set of edges; edges that face the same way keep one slope."""
+    """Angles (k, n) to try: every other class and slope for each set of edges. Edges that face the same way keep a
+    common slope."""
     rows = []
     is_slope = (angle_deg > 0.0) & (angle_deg < 90.0)
     for unit in units:
@@ -136,7 +138,7 @@ def _changed(
 
 
 def _tidied(problem: Problem, roof: Roofs) -> Roofs:
-    """The roof with whole degrees where that costs little; one that a flat roof describes as well is flat."""
+    """The roof with whole degrees where that costs little; a flat roof if that is about as good."""
     settings, n = problem.settings, len(problem.direction)
     tolerance_m = _class_gain_m(problem)
     flat = improved(problem, evaluate(problem, np.zeros((1, n))), settings.num_last_rounds)

@@ -19,8 +19,9 @@ from p2wss.skeleton.angles import slope_angles, tangents
 class Problem:
     """A polygon and the points over it.
 
-    polygon: one. point_m: (m, 3). direction: int (n,), edges of the same number share their slope. degree_cost_m: what
-    a slope costs for each degree by which it differs from the usual one. max_roof_height_m: above the eave.
+    polygon: a single one. point_m: (m, 3). direction: int (n,), edges with the same number share their slope.
+    degree_cost_m: the cost of each degree by which a slope differs from the usual slope. max_roof_height_m: above the
+    eave.
     """
 
     polygon: Polygons
@@ -33,10 +34,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Roofs:
-    """k roofs over the polygon of a problem, and what its m points are to them.
+    """k roofs over the polygon of a problem, and how its m points relate to them.
 
-    angle_deg: (k, n). eave_z_m, loss_m: (k,). edge: int (k, m), of the face over each point, -1 where it is level.
-    rise_m: (k, m), of the roof over the eave, NaN outside. residual_m: (k, m), at right angles to the face.
+    angle_deg: (k, n). eave_z_m, loss_m: (k,). edge: int (k, m), the edge of the face over each point, -1 where the face
+    is level. rise_m: (k, m), the height of the roof above the eave, NaN outside. residual_m: (k, m), at right angles to
+    the face.
     """
 
     angle_deg: np.ndarray
@@ -47,16 +49,16 @@ class Roofs:
     residual_m: np.ndarray
 
     def of(self, chosen: np.ndarray | slice) -> Roofs:
-        """Those of the roofs."""
+        """The chosen roofs, by mask, indices or slice."""
         return Roofs(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
     def best(self) -> Roofs:
-        """The one with the least loss."""
+        """The roof with the least loss."""
         number = int(np.argmin(self.loss_m))
         return self.of(slice(number, number + 1))
 
     def where(self, places: np.ndarray, others: Roofs) -> Roofs:
-        """These roofs with others in some places, a mask or indices."""
+        """These roofs with the roofs ``others`` at ``places``, a mask or indices."""
         result = [getattr(self, each.name).copy() for each in fields(self)]
         for array, each in zip(result, fields(self), strict=True):
             array[places] = getattr(others, each.name)
@@ -64,10 +66,10 @@ class Roofs:
 
 
 def evaluate(problem: Problem, angle_deg: np.ndarray, eave_z_m: np.ndarray | None = None) -> Roofs:
-    """The roofs of angles (k, n) and eaves (k,); by default at the heights that leave half of the points above.
+    """The roofs of angles (k, n) and eaves (k,). By default, half of the points are above a roof and half below.
 
-    The loss is the mean over the points of the distance to the roof, at most the cap, and what unusual slopes cost;
-    infinite where the kernel refuses the roof.
+    The loss is the mean distance of the points from the roof, each at most ``cap_m``, plus the cost of unusual slopes.
+    It is infinite where the kernel refuses the roof.
     """
     (k, n), m, settings = angle_deg.shape, len(problem.point_m), problem.settings
     one = problem.polygon
@@ -100,13 +102,13 @@ def evaluate(problem: Problem, angle_deg: np.ndarray, eave_z_m: np.ndarray | Non
 
 
 def _cosine(angle_deg: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """(k, m): of the slope of the face over each point."""
+    """(k, m): the cosine of the slope of the face over each point."""
     slope_deg = np.take_along_axis(angle_deg, np.maximum(edge, 0), axis=1)
     return np.where(edge >= 0, np.cos(np.radians(slope_deg)), 1.0)
 
 
 def improved(problem: Problem, roofs: Roofs, num_rounds: int, only_eaves: bool = False) -> Roofs:
-    """The roofs after up to so many rounds of least squares, none of them worse. only_eaves: slopes stay."""
+    """The roofs after up to ``num_rounds`` rounds of least squares, none of them worse. only_eaves: slopes stay."""
     settings = problem.settings
     active = np.isfinite(roofs.loss_m)
     for _ in range(num_rounds):
@@ -133,8 +135,8 @@ def improved(problem: Problem, roofs: Roofs, num_rounds: int, only_eaves: bool =
 
 
 def _least_squares(problem: Problem, roofs: Roofs, only_eaves: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (k, n) and eaves (k,) that fit best to the points, weighted by their residuals, while each keeps its
-    face."""
+    """Angles (k, n) and eaves (k,) that fit the points best if each point keeps its face. Points are weighted by the
+    inverse of their residuals."""
     settings = problem.settings
     angle_deg, edge = roofs.angle_deg, roofs.edge
     k, m = edge.shape
@@ -157,7 +159,7 @@ def _least_squares(problem: Problem, roofs: Roofs, only_eaves: bool) -> tuple[np
     transposed = (matrix * weight[:, :, None]).transpose(0, 2, 1)
     square, right = transposed @ matrix, (transposed @ right_m[:, :, None])[:, :, 0]
     diagonal = np.arange(1 + num_slopes)
-    # a little of the present values keeps a step small where the points determine nothing
+    # a small weight of the present values keeps a step small where the points determine nothing
     count = is_slope @ in_direction.T
     mean = (tangent @ in_direction.T) / np.maximum(count, 1)
     keep = np.column_stack([np.full(k, settings.keep_eave), np.full((k, num_slopes), settings.keep_slope)])

@@ -1,1 +1,1 @@
-"""What is known of each building, and the files it is written to."""
+"""The attributes of each building, and the output files."""

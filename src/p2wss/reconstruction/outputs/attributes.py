@@ -22,7 +22,7 @@ from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal
 
 P2WSS, NAMES_3DBAG = "p2wss", "3dbag"
-# names of 3DBAG (https://docs.3dbag.nl/en/schema/attributes) for ours
+# our names, and the names of 3DBAG for them (https://docs.3dbag.nl/en/schema/attributes)
 TO_3DBAG = {
     "ground_z_m": "b3_h_maaiveld",
     "roof_z_min_m": "b3_h_dak_min",
@@ -43,29 +43,29 @@ TO_3DBAG = {
     "slope_deg": "b3_hellingshoek",
     "azimuth_deg": "b3_azimut",
 }
-# of 64 bits
+# the largest integer of 64 bits
 _MAX_WHOLE = 2**63 - 1
 _LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple horizontal"}
 
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:
-    """The result with these columns of its footprint only; ["all"] for all."""
+    """The result with only these columns of its footprint; with "all" among the names, all columns stay."""
     if "all" in names:
         return result
     return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})
 
 
 def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: str = P2WSS) -> dict[str, Any]:
-    """The attributes of a building: the columns of its footprint, then ours; None where a value is unknown.
+    """The attributes of a building: the columns of its footprint, then p2wss's own attributes; None for unknown values.
 
-    A column of the input with the name of one of ours or of another column, in upper or lower case, gets the prefix
-    ``input_``: tables of SQL do not tell them apart. names: ``p2wss``, or ``3dbag`` for the names of 3DBAG where it has
-    a name. facts: of the run; its ``clouds`` are an attribute of 3DBAG.
+    A column of the input gets the prefix ``input_`` if it has the name of one of these attributes or of another column.
+    Case does not count, as SQL tables ignore it. names: ``p2wss``, or ``3dbag`` for the names of 3DBAG where there is
+    one. facts: of the run; its ``clouds`` are an attribute of 3DBAG.
     """
     ours = _attributes(result)
     if names == NAMES_3DBAG:
         ours = _as_in_3dbag(ours, result, (facts or {}).get("clouds", []))
-    # the last two: of GeoPackage
+    # GeoPackage has columns geom and fid
     taken, columns = {name.lower() for name in (*ours, "building_id", "geometry", "geom", "fid")}, {}
     for name, value in result.columns.items():
         while name.lower() in taken:
@@ -179,7 +179,7 @@ def _as_in_3dbag(ours: dict[str, Any], result: Result, clouds: Sequence[str]) ->
 
 
 def _plain(value: Any) -> Any:
-    """A value of a column as JSON has it."""
+    """A value of a column as a type of JSON: None for floats that are not finite, text for unknown types."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, float) and not np.isfinite(value):
@@ -217,8 +217,8 @@ def table(
 
 
 def _column(values: list[Any]) -> np.ndarray:
-    """Floats with NaN, or objects with None, for what is not known. Values of several types, and whole numbers for
-    which tables have none, are text."""
+    """The values as an array: floats with NaN for unknown values, or objects with None. Values of several types become
+    text, and so do integers if one is beyond 64 bits."""
     kinds = {type(value) for value in values}
     known = kinds - {type(None)}
     if float in known and known <= {int, float}:
@@ -229,7 +229,7 @@ def _column(values: list[Any]) -> np.ndarray:
 
 
 def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> Features | None:
-    """A row per footprint with its cleaned polygon before the registration; None without a registration."""
+    """A row per footprint with its cleaned polygon before the registration; None if no footprint has a registration."""
     rows = [(result.reconstruction.building_id, result.registration) for result in results]
     if not any(registration for _, registration in rows):
         return None

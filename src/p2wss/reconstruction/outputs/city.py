@@ -24,7 +24,7 @@ from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.las_crs import horizontal
 from p2wss.storage.log_lines import first_of
 
-# as many clouds are named in the title
+# the title names at most this many clouds
 _MAX_CLOUDS = 3
 
 
@@ -37,11 +37,11 @@ def city_json(
     names: str = P2WSS,
     plants: Sequence[Plant] = (),
 ) -> Iterator[str]:
-    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``, in pieces of text. A
-    building without a mesh has no geometry.
+    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``; yields pieces of text.
+    Buildings without a mesh have no geometry, and follow the others.
 
-    facts: of the run, for attributes and metadata. lods: levels of detail, from 1.2 and 2.0. names: of attributes.
-    plants: follow the buildings.
+    facts: of the run, for attributes and metadata. lods: levels of detail, from 1.2 and 2.0. names: of attributes, see
+    :func:`attributes`. plants: follow the buildings.
     """
     facts = facts or {}
     has_mesh: list[bool] = []
@@ -62,7 +62,8 @@ def city_json(
 
 
 def _metadata(days: Sequence[str], crs: pyproj.CRS, facts: Mapping[str, Any], names: str) -> Metadata:
-    """Title and reference date name version and sources: CityJSON has no other place for them."""
+    """The metadata. The title and the reference date tell version and sources, as CityJSON has no other place for
+    them."""
     title = f"Buildings by p2wss {__version__}"
     clouds = facts.get("clouds", [])
     if clouds:
@@ -76,8 +77,8 @@ def _metadata(days: Sequence[str], crs: pyproj.CRS, facts: Mapping[str, Any], na
 
 
 def epsg_of(crs: pyproj.CRS) -> int | None:
-    """The EPSG code of a CRS; of a horizontal and a vertical one that of the two together, if there is one, else the
-    horizontal one's, as of one with heights above the ellipsoid. None if that has none.
+    """The EPSG code of a CRS. For a compound CRS it is the code of the compound, if there is one, else the code of its
+    horizontal part, as for a CRS with heights above the ellipsoid. None if there is no code.
 
     >>> epsg_of(pyproj.CRS("EPSG:28992+5709")), epsg_of(pyproj.CRS("EPSG:2154+5720")), epsg_of(pyproj.CRS("EPSG:2154"))
     (7415, 5698, 2154)
@@ -119,12 +120,12 @@ def _plant(plant: Plant) -> Solid:
 
 
 def _block(result: Result) -> tuple[Mesh, list[Surface]] | None:
-    """The floor of a building, or its footprint if the kernel does not take that, as a block whose flat roof is as high
-    as 70 % of the building's, and its surfaces; None if that is not valid."""
+    """(a block for LoD 1.2, its surfaces); None if no block is valid. The block stands on the floor of the building, or
+    on its footprint if the kernel rejects the floor. Its flat roof is at the 70th percentile of the building's roof."""
     reconstruction, measured = result.reconstruction, result.measures
     assert measured is not None and reconstruction.mesh is not None
     solid, height_m = reconstruction.mesh, measured.roof_z_p70_m - reconstruction.ground_z_m
-    # without open ground, which is outside; a floor is seen from below
+    # only the floor, without open ground, which is outside the building; its rings are reversed, as seen from above
     floors = [surface.rings for surface in solid.surfaces if surface.kind == FaceKind.GROUND]
     of_floor = [[solid.vertex_m[ring[::-1], :2] for ring in rings] for rings in floors if len(floors) == 1]
     for rings in (*of_floor, list(reconstruction.rings)):

@@ -48,13 +48,16 @@ def write(
 ) -> list[Path]:
     """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the paths.
 
-    ``STEM.json`` lists the SHA-256 of each of the others, which ``p2wss inspect --verify STEM.json`` compares.
-    results: may be read from a file at each access. Skins and terrains hold all meshes in memory, tables and mesh files
-    their content, CityJSON nothing. With a terrain the meshes stand in a block of it
-    (:mod:`p2wss.reconstruction.skin.terrain_mesh`), and with ``config.skin`` those of touching buildings become one
-    (:mod:`p2wss.reconstruction.skin`); CityJSON does not change. Where errors are met, a file that cannot be made is
-    left out, and the tracebacks of all errors of the run are in ``STEM.errors.log``.
-    Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
+    ``STEM.json`` lists the SHA-256 of all other files, for ``p2wss inspect --verify STEM.json``.
+
+    With a terrain, the meshes stand in a block of terrain (:mod:`p2wss.reconstruction.skin.terrain_mesh`). With
+    ``config.skin``, the meshes of touching buildings become one mesh (:mod:`p2wss.reconstruction.skin`). CityJSON does
+    not change. results: may be read from a file at each access. In memory are, with skins or a terrain, all meshes; for
+    a table or a mesh file, its content; for CityJSON, nothing of that kind.
+
+    Where errors are met, a file that cannot be made is left out, and ``STEM.errors.log`` has the tracebacks of all
+    errors of the run. Raises :class:`InputError` if a file cannot be written or the terrain does not cover the
+    buildings.
     """
 
     def alone(
@@ -140,9 +143,10 @@ def write(
 def _meshes(
     results: Sequence[Result], terrain: Terrain | None, config: Reconstruct
 ) -> tuple[Sequence[Body], Body | None, Sequence[Skin]]:
-    """(all meshes to write, that of the terrain among them, the skins of the blocks if skins or wedges are requested).
+    """(all meshes to write, the terrain included; the mesh of the terrain or None; the skins of the blocks if skins or
+    wedges are requested).
 
-    Without skin, wedges and terrain, each mesh is made at its access.
+    Without skin, wedges and terrain, each mesh is made when it is accessed.
     """
     with_mesh = [number for number, result in enumerate(results) if result.reconstruction.has_mesh]
     buildings: Sequence[Body] = Lazy(lambda number: mesh(results[number], config), with_mesh)
@@ -173,7 +177,7 @@ def _write_results(
     facts: dict[str, Any],
     config: Reconstruct,
 ) -> None:
-    """Write a table or CityJSON. output: its format."""
+    """Write a file of the format ``output``: a table or CityJSON."""
     if output in ("cityjson", "cityjsonseq"):
         files.write_text(
             path, city_json(results, crs, output, facts, config.lods, config.attribute_names, plants)
@@ -211,8 +215,8 @@ def write_meshes(
 def with_terrain(
     buildings: Sequence[Body], terrain: Terrain, config: Reconstruct
 ) -> tuple[Sequence[Body], Body]:
-    """(the buildings, which reach into the terrain around them, its mesh). Raises :class:`InputError` if it has no
-    height."""
+    """(the buildings, lowered into the terrain; the mesh of the terrain around them). Raises :class:`InputError` if the
+    terrain has no height there."""
     corners = np.concatenate([building.mesh.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
     bounds = grown((low[0], low[1], high[0], high[1]), config.terrain_margin_m)
@@ -223,7 +227,7 @@ def with_terrain(
 
 
 def _is_cut(config: Reconstruct, has_terrain: bool) -> bool:
-    """Whether skins end on the terrain, so that only all of them are closed."""
+    """Whether skins end on the terrain. Then no single mesh is closed, but all of them together are."""
     return config.skin and has_terrain and config.skin_terrain == "cut"
 
 
@@ -235,7 +239,7 @@ def check_coverage(terrain: Terrain, name: Path, features: Features) -> None:
 
 
 def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[str]:
-    """Notes on the outputs for the user, before the work. features: cleaned footprints with the input's columns."""
+    """Notes for the user on the outputs, before the run. features: cleaned footprints with the input's columns."""
     result = []
     if _is_cut(config, has_terrain) and any(name in MESH_WRITERS for name in config.outputs):
         text = "skins and terrain are closed together, and no single mesh is (reconstruct.skin_terrain: overlap is)"
@@ -257,9 +261,9 @@ def notes(config: Reconstruct, features: Features, has_terrain: bool) -> list[st
 
 
 def counts(results: Sequence[Result]) -> dict[str, Any]:
-    """Numbers of buildings by status, reason and method, and the ids of those to be looked at, the worst first: without
-    a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict or
-    do not cover."""
+    """Numbers of buildings by status, reason and method, and the ids of buildings to check (``to_check``), the worst
+    first: buildings without a mesh, with a flat roof instead, far from their points, of which less than half is seen,
+    or with a footprint that the points contradict or do not cover."""
     status, reasons, methods, doubts = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     not_representable = without_points = triangles = 0
     to_check: list[tuple[bool, float, str]] = []
@@ -269,6 +273,8 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
             why.append(str(result.reason))
         if result.not_representable:
             why.append("not-representable")
+        elif result.status == "ok" and not why and not result.is_reliable:
+            why.append("mostly-unseen")
         if why:
             doubts.update(why)
             row = result.reconstruction
@@ -277,7 +283,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         reasons.update(filter(None, [result.reason]))
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
         not_representable += result.not_representable
-        # others without points lack something else, such as a geometry
+        # only buildings that lack nothing but points; others without points lack a geometry, for instance
         without_points += result.num_points == 0 and result.reason in UNSEEN
         triangles += result.reconstruction.num_triangles
     return {
@@ -301,7 +307,7 @@ def mesh(result: Result, config: Reconstruct) -> Body:
 
 
 def kept(results: Sequence[Result], config: Reconstruct) -> Sequence[Result]:
-    """The results with the columns of their footprints that are kept."""
+    """The results with only those columns of their footprints that ``config.keep_columns`` names."""
     return Lazy(lambda result: with_columns(result, config.keep_columns), results)
 
 

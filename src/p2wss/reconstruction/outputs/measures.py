@@ -23,15 +23,16 @@ FLAT_DEG = 3.0
 FLAT, FLATS, SHED, GABLE, HIP, PYRAMID, SLOPES = (
     "flat", "several-flats", "shed", "gable", "hip", "pyramid", "several-slopes",
 )  # fmt: skip
-# smaller shares of a roof do not count for the name of its type; directions of slopes that face away from each other
-# are less than 20 degrees from opposite
+# planes with a smaller share of the roof do not count for its type; slopes face away from each other if their
+# directions are less than 20 degrees from opposite
 _SMALL_SHARE, _OPPOSITE_COSINE = 0.01, -np.cos(np.radians(20))
-# a hip roof has eaves of one height, up to this share of its own; a ridge of less than this share of a hip is a point
+# the eaves of a hip roof differ by less than this share of the roof's height; a ridge shorter than this share of a hip
+# is a point
 _EVEN_SHARE, _POINT_SHARE = 0.2, 0.1
 # walls within this distance of each other, and with directions up to this angle apart, stand against each other
 _PARTY_M, _PARTY_COSINE = 0.1, -np.cos(np.radians(5))
 _BISECTIONS = 24
-# buildings whose walls are kept while pairs are measured
+# the walls of at most this many buildings are kept while pairs are measured
 _MAX_WALLS = 4096
 
 
@@ -40,10 +41,10 @@ class MeshMeasures:
     """Measures of a building's mesh; heights in the height system of the cloud.
 
     roof_type: ``flat`` (one level plane), ``several-flats``, ``shed``, ``gable``, ``hip``, ``pyramid``, or
-    ``several-slopes`` (all others); planes below 3 degrees are level. roof_z_min_m, roof_z_max_m: of all roof planes.
-    roof_z_p50_m, roof_z_p70_m: height below which 50 and 70 % of the roof lie, by area in plan. ridge_z_m: highest
-    point where two sloped planes of the roof meet in a convex edge; None without one. outer_floor_area_m2: of open
-    ground within the footprint, which is no roof. wall_area_m2: party walls included.
+    ``several-slopes`` (all others); planes below 3 degrees are level. roof_z_min_m, roof_z_max_m: lowest and highest
+    point of the roof. roof_z_p50_m, roof_z_p70_m: height below which 50 and 70 % of the roof lie, by area in plan.
+    ridge_z_m: highest point of the convex edges between two sloped planes of the roof; None without such an edge.
+    outer_floor_area_m2: open ground within the footprint, which is no roof. wall_area_m2: party walls included.
     """
 
     roof_type: str
@@ -65,7 +66,7 @@ def measure(mesh: Mesh) -> MeshMeasures:
     corner = mesh.corner_m - mesh.vertex_m.min(axis=0)
     is_roof = (mesh.kind == FaceKind.ROOF) | (mesh.kind == FaceKind.FLAT)
     area, face = mesh.area_m2, mesh.face
-    # of a face, not of its triangles, among which may be slivers
+    # slopes are of whole faces, as their triangles may be slivers
     total = np.zeros((int(face.max()) + 1, 3))
     np.add.at(total, face, mesh.doubled_m2)
     slope_deg = np.degrees(bearings(np.column_stack([total[:, 2], np.hypot(total[:, 0], total[:, 1])])))[face]
@@ -95,8 +96,8 @@ def measure(mesh: Mesh) -> MeshMeasures:
 
 @entry
 def _height_quantile(z: np.ndarray, weight: np.ndarray, share: float) -> float:
-    """The height below which a share of triangles lies. z: heights of their corners, ascending, (t, 3). weight: (t,),
-    areas in plan."""
+    """The height below which a share of the area in plan of triangles lies. z: (t, 3), ascending heights of the corners
+    of each triangle. weight: (t,), areas in plan."""
     low_end, high_end, target = z.min(), z.max(), share * weight.sum()
     for _ in range(_BISECTIONS):
         at, below = (low_end + high_end) / 2, 0.0
@@ -116,8 +117,8 @@ def _height_quantile(z: np.ndarray, weight: np.ndarray, share: float) -> float:
 
 
 class _Meetings(NamedTuple):
-    """Edges between two sloped planes of a roof, each from both sides: the planes (e, 2), convex or not, lengths and
-    upper ends (e,)."""
+    """Edges between two sloped planes of a roof; each edge is there twice, once from either side. face: (e, 2), the two
+    planes. is_convex, length_m: (e,). top_z: (e,), height of the upper end."""
 
     face: np.ndarray
     is_convex: np.ndarray
@@ -130,7 +131,7 @@ def _meetings(mesh: Mesh, is_sloped: np.ndarray) -> _Meetings:
     beyond, side_beyond = np.divmod(mesh.twin[triangle, side], 3)
     between = mesh.face[triangle] != mesh.face[beyond]
     triangle, side, beyond, side_beyond = (each[between] for each in (triangle, side, beyond, side_beyond))
-    # the corner of the second triangle that is not on the edge is below the first one's plane
+    # an edge is convex if the third corner of the second triangle is below the plane of the first triangle
     apex = mesh.corner_m[beyond, (side_beyond + 2) % 3]
     start, end = mesh.corner_m[triangle, side], mesh.corner_m[triangle, NEXT[side]]
     height = np.einsum("ij,ij->i", apex - start, mesh.doubled_m2[triangle])
@@ -141,8 +142,8 @@ def _meetings(mesh: Mesh, is_sloped: np.ndarray) -> _Meetings:
 def _sloped_type(
     mesh: Mesh, is_sloped: np.ndarray, roof_faces: np.ndarray, normal_m2: np.ndarray, meetings: _Meetings
 ) -> str:
-    """The name of a roof with slopes, by its planes and where they meet. is_sloped: (t,), triangles. roof_faces: (f,);
-    normal_m2: (f, 3), with the length of the doubled area."""
+    """The type of a roof with slopes, by its planes and where they meet. is_sloped: bool (t,), per triangle.
+    roof_faces: (f,). normal_m2: (f, 3), normals as long as the doubled areas of the faces."""
     area_m2 = np.linalg.norm(normal_m2, axis=1)
     is_main = area_m2 > _SMALL_SHARE * area_m2.sum()
     main, down = roof_faces[is_main], normal_m2[is_main, :2]
@@ -150,12 +151,12 @@ def _sloped_type(
     is_one[main] = True
     among = is_one[meetings.face].all(axis=1)
     is_one[mesh.face[is_sloped]] = False
-    # a roof of many has none with a large share of it
+    # no named type: no plane is large, a large plane is level, or large planes meet in a concave edge
     if not len(main) or is_one.any() or not meetings.is_convex[among].all():
         return SLOPES
     if len(main) == 1:
         return SHED
-    # each edge is there from both sides
+    # a symmetric matrix, as each edge is there from both sides
     length_m = np.zeros((len(main), len(main)))
     np.add.at(length_m, tuple(np.searchsorted(main, meetings.face[among]).T), meetings.length_m[among])
     down = down / np.linalg.norm(down, axis=1, keepdims=True)
@@ -172,8 +173,8 @@ def _sloped_type(
 
 
 def unseen_roof_area_m2(mesh: Mesh, x_m: np.ndarray, y_m: np.ndarray) -> float:
-    """The area in plan of the roof of a mesh in 1 m cells without one of the points (n,), in the frame of both. What is
-    open ground, outside or as a floor, has no roof."""
+    """The area in plan of the roof of a mesh in 1 m cells without a point. x_m, y_m: (n,), the points, in the frame of
+    the mesh. Open ground within the footprint is no roof."""
     is_roof = (mesh.kind == FaceKind.ROOF) | (mesh.kind == FaceKind.FLAT)
     corner_m = mesh.corner_m[is_roof]
     low_x, low_y = np.floor(corner_m[..., :2].min(axis=(0, 1))).astype(int).tolist()
@@ -186,8 +187,8 @@ def unseen_roof_area_m2(mesh: Mesh, x_m: np.ndarray, y_m: np.ndarray) -> float:
 
 
 def party_wall_areas_m2(meshes: Sequence[Mesh | None]) -> np.ndarray:
-    """(b,) areas of the walls of each building that stand against walls of other buildings of ``meshes``: within
-    0.1 m, and facing each other up to 5 degrees. meshes: may be computed at each access."""
+    """float64 (b,): the area of the walls of each building that stand against walls of other buildings: within 0.1 m,
+    and opposite within 5 degrees. 0 without a mesh. meshes: may be computed at each access."""
     result = np.zeros(len(meshes))
     box_m = np.full((len(meshes), 4), np.nan)
     for i, mesh in enumerate(meshes):
@@ -220,7 +221,7 @@ def _common_area_m2(
     # across and along the wall of the first
     axes = np.stack([normal_a[a], normal_a[a, ::-1] * (-1, 1)], axis=2)
     place_a, place_b = ((each[..., :2] - corner_a[a, :1, :2]) @ axes for each in (corner_a[a], corner_b[b]))
-    # a triangle may be longer than the wall that it faces: some of it near is enough
+    # one corner near is enough, as a triangle may be longer than the wall that it faces
     is_near = np.abs(place_b[..., 0]).min(axis=1) <= _PARTY_M
     first, second = (
         shapely.polygons(np.stack([place[..., 1], corner[..., 2]], axis=2)[is_near])

@@ -1,4 +1,4 @@
-"""The page of a run: its buildings in 3D and in a table. Also that of any CityJSON files."""
+"""The HTML page of a run or of CityJSON files: the buildings in 3D and in a table."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import shapely
 from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.building import Reconstruction
-from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, PERHAPS_ROOF_CLASS, has_class
 from p2wss.data.points import stride
 from p2wss.formats import viewer
 from p2wss.formats.materials import materials_of
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from p2wss.data.terrain import Terrain
     from p2wss.reconstruction.scene import Scene, SceneBuilding
 
-# more would make a page slow: the others are shapes without attributes, and in the table of the run
+# most buildings with attributes, further buildings as mere shapes, points and plants: more would make a page slow
 MAX_BUILDINGS, MAX_OTHERS, MAX_POINTS, MAX_PLANTS = 2000, 18_000, 300_000, 5000
 GROUND_MARGIN_M, NUM_GROUND_CELLS = 25.0, 80
 _ABOVE_GROUND_M = 0.5
-# places whose distances to all buildings are in memory
+# the distances of at most this many places to all buildings are in memory at once
 _MAX_TOGETHER = 500
 _OURS = "p2wss"
 # the heights of the ground at places (n, 2)
@@ -51,8 +51,8 @@ def page_of_run(
     plants: Sequence[Mesh] = (),
     terrain: Terrain | None = None,
 ) -> str:
-    """The HTML of a run. stem: of the names of its files. facts: of its provenance. keep_columns: of the footprints, to
-    show; materials are those of all columns. plants, terrain: in the CRS."""
+    """The HTML of a run. stem: the stem of the run's file names. facts: the provenance. keep_columns: the columns of
+    the footprints to show; materials are taken from all columns. plants, terrain: in ``crs``."""
     worst = np.argsort([-np.nan_to_num(result.residual_m, nan=-1.0) for result in results], kind="stable")
     chosen = [results[number] for number in np.sort(worst[:MAX_BUILDINGS])]
     rest = (results[number].reconstruction for number in worst[MAX_BUILDINGS:][:MAX_OTHERS])
@@ -73,10 +73,10 @@ def page_of_run(
 
 
 def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None) -> str:
-    """The HTML of the buildings of one or several files by their names; those of the same id are shown together.
+    """The HTML of the buildings of one or several files. Buildings of the same id are shown together.
 
-    cloud: points in the same CRS, or None. Their distances are those to the first file, and become its ``residual_m``
-    where it states none.
+    scenes: by the names of the files. cloud: points in the same CRS, or None. Their distances to the buildings of the
+    first file are shown; the mean becomes ``residual_m`` of a building without this attribute.
     """
     first, colors = next(iter(scenes)), ("#c8603a", *viewer.OTHER_COLORS)
     layers = [
@@ -130,7 +130,7 @@ def page_of_scenes(title: str, scenes: Mapping[str, Scene], cloud: Cloud | None)
 
 
 def _origin(facts: Mapping[str, Any]) -> str:
-    """A sentence: what made the page, of which files."""
+    """A sentence that tells the version of p2wss and the input files; "" if the files are unknown."""
     names = [*facts.get("clouds", []), *filter(None, [facts.get("footprints"), facts.get("terrain")])]
     return f"Made by p2wss {facts.get('version', '')} from {', '.join(names)}." if names else ""
 
@@ -143,7 +143,7 @@ def _place(
     heights: Heights,
     crs: str,
 ) -> Place:
-    """crs: its name."""
+    """The surroundings of the buildings on a page: plants, other buildings and ground. crs: the name of the CRS."""
     crowns = [plant.translated(-origin_m) for plant in plants[:: stride(len(plants), MAX_PLANTS)]]
     shapes = [other.translated(-origin_m) for other in others]
     meshes = [*shapes, *(mesh for building in buildings for mesh in building.meshes.values())]
@@ -155,8 +155,8 @@ def _place(
 
 
 def _heights(position_m: Sequence[np.ndarray], terrain: Terrain | None) -> Heights:
-    """The height of the ground at places (n, 2): that of the terrain, and elsewhere a mean of buildings, near ones
-    above all. position_m: (3,) each, on the ground."""
+    """A function that returns the height of the ground at places (n, 2): the terrain, and where it is unknown, a mean
+    of the ground of buildings, weighted by nearness. position_m: (3,) each, a place of each building on the ground."""
     known = np.array([each for each in position_m if np.isfinite(each).all()]).reshape(-1, 3)
 
     def of_buildings(plan_m: np.ndarray) -> np.ndarray:
@@ -196,7 +196,8 @@ def _flat(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
 
 
 def _outline(reconstruction: Reconstruction, heights: Heights) -> dict[str, Mesh]:
-    """The footprint of a building without a mesh, a little above the ground."""
+    """The footprint of a building without a mesh as a flat mesh a little above the ground; empty without a footprint or
+    ground."""
     if not reconstruction.rings or not np.isfinite(reconstruction.position_m).all():
         return {}
     polygon = shapely.Polygon(reconstruction.rings[0], reconstruction.rings[1:])
@@ -210,12 +211,12 @@ def _outline(reconstruction: Reconstruction, heights: Heights) -> dict[str, Mesh
 
 
 def _points_of(plans: Sequence[shapely.Geometry], cloud: Cloud | None) -> list[np.ndarray]:
-    """For each plan the points (n, 3) over it, evenly thinned: of the building class where there are any."""
+    """The points (n, 3) over each plan, evenly thinned; only points of roofs if the cloud has such points."""
     if cloud is None:
         return [np.zeros((0, 3)) for _ in plans]
     areas = [plan if isinstance(plan, shapely.Polygon) else shapely.Polygon() for plan in plans]
     polygons = polygon_arrays.to_polygons(np.array(areas, dtype=object))
-    among = cloud.classification == BUILDING_CLASS
+    among = has_class(cloud.classification, (BUILDING_CLASS, PERHAPS_ROOF_CLASS))
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, polygons, 0.0, among if among.any() else None)
     every = stride(len(point), MAX_POINTS)
     xyz_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
@@ -231,7 +232,7 @@ def _left_out(num_buildings: int) -> list[str]:
 
 
 def _origin_m(position_m: Sequence[np.ndarray]) -> np.ndarray:
-    """(3,), whole metres: coordinates of a page are relative to it, since those of a graphics card have 24 bits."""
+    """(3,), whole metres: the origin of the coordinates of a page, as coordinates of a graphics card have 24 bits."""
     finite = [each for each in position_m if np.isfinite(each).all()]
     return np.floor(np.mean(finite, axis=0)) if finite else np.zeros(3)
 

@@ -19,7 +19,7 @@ _COLORS = {SURFACE_TYPE[kind]: FACE_COLORS[kind] for kind in reversed(SURFACE_TY
 
 
 def plot(buildings: Iterable[SceneBuilding], view: str, axes: Any = None) -> Any:
-    """See :meth:`p2wss.reconstruction.scene.Scene.plot`. What is nearer to the eye is drawn over what is farther."""
+    """See :meth:`p2wss.reconstruction.scene.Scene.plot`. Near buildings and faces are drawn over far ones."""
     if view not in ("plan", "oblique"):
         raise InputError(f"view: choose from plan, oblique, not {view!r}")
     from matplotlib import pyplot
@@ -27,7 +27,7 @@ def plot(buildings: Iterable[SceneBuilding], view: str, axes: Any = None) -> Any
     from matplotlib.colors import to_rgb
     from matplotlib.path import Path
 
-    # unit vectors to the right, upwards in the picture, and towards the eye: of an oblique view beside south
+    # unit vectors to the right, upwards in the picture, and towards the eye, which is south-west in an oblique view
     aside, above = np.radians((0, 90) if view == "plan" else (35, 40))
     right = np.array([np.cos(aside), -np.sin(aside), 0])
     eye = np.array([-np.sin(aside) * np.cos(above), -np.cos(aside) * np.cos(above), np.sin(above)])

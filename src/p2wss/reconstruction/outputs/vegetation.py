@@ -29,10 +29,11 @@ from p2wss.skeleton.angles import bearings
 class Rules:
     """What is a plant; chosen on simulated trees (``benchmarks/vegetation.py``).
 
-    cell_m: of the raster of heights, which is smoothed by smoothing_m. spacing_m: of tops. min_height_m: above the
-    ground, of points. base_quantile: of the heights of the points of a crown, where it begins. beside_m: where points
-    have no classes of plants, those so near to a footprint are of the building. num_sides: of a volume.
-    tile_m: read together, and margin_m around it, which is more than the width of a crown.
+    cell_m, smoothing_m: cell of the raster of heights, and standard deviation of its smoothing. spacing_m: a top is the
+    highest place within this distance. min_height_m: least height above the ground of points of plants. min_num_points,
+    min_area_m2: of a crown. base_quantile: a crown begins at this quantile of the heights of its points. beside_m: if
+    the cloud has no classes of plants, points this near to a footprint belong to the building. num_sides: of a volume.
+    tile_m, margin_m: points are read by tiles, with a margin that is more than the width of a crown.
     """
 
     cell_m: float = 0.5
@@ -53,8 +54,8 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class Plant:
-    """A crown. mesh: closed, in the CRS of the run. height_m, base_m: of its top and where it begins, above the ground.
-    width_m: diameter of the circle of its area."""
+    """A crown. mesh: closed, in the CRS of the run. height_m, base_m: heights of its top and its lower end above the
+    ground. width_m: diameter of a circle with its area."""
 
     name: str
     mesh: Mesh
@@ -65,19 +66,20 @@ class Plant:
 
     @property
     def city_type(self) -> str:
-        """The type of its city object: a clump or a hedge is wider than it is high."""
+        """The type of its city object; a plant wider than high is a clump or a hedge."""
         return "PlantCover" if self.width_m > self.height_m else "SolitaryVegetationObject"
 
     @property
     def attributes(self) -> dict[str, float]:
-        """For files, metres."""
+        """The attributes for files: height_m, base_m, width_m and num_points, rounded."""
         names = ("height_m", "base_m", "width_m", "num_points")
         return {name: round(getattr(self, name), 2) for name in names}
 
 
 def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[Plant]:
-    """The plants with tops in a window, which the index covers with a margin of 16 m: of points of the classes of
-    plants or, where the cloud has none, of what stands above the ground outside ``footprints`` and is no plane."""
+    """The plants with tops in a window, which the index must cover with a margin of 16 m. They are made of points of
+    the classes of plants. If the cloud has no such points, they are made of points above the ground that lie outside
+    ``footprints`` and on no plane."""
     outlines = shapely.STRtree(footprints)
 
     def of_tile(corner: tuple[float, float]) -> list[Plant]:
@@ -90,7 +92,7 @@ def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[P
         )
         around = grown((x, y, x + RULES.tile_m, y + RULES.tile_m), RULES.margin_m)
         cloud = points.near(np.array([around]))
-        # the producer's classes of plants, even where the others are ours
+        # plants by the producer's classes, even where p2wss adds ground and buildings
         own = points.near(np.array([around]), adds_classes=False).classification
         is_plant = np.isin(own, PLANT_CLASSES) if points.has_plants else None
         return list(_plants(cloud, is_plant, around, tile, outlines)) if len(cloud) else []
@@ -99,7 +101,7 @@ def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[P
         note(f"vegetation around {corner[0]:.0f} {corner[1]:.0f}", trace, "there is none")
         return [[]]
 
-    # where there are points
+    # tiles with points
     corners = np.unique(np.floor(points.places_m / RULES.tile_m), axis=0) * RULES.tile_m
     first, last = np.floor(np.reshape(window, (2, 2)) / RULES.tile_m) * RULES.tile_m
     corners = corners[((corners >= first) & (corners <= last)).all(axis=1)]
@@ -109,7 +111,8 @@ def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[P
 def _plants(
     cloud: Cloud, is_plant: np.ndarray | None, around: Bounds, tile: Bounds, outlines: shapely.STRtree
 ) -> Iterator[Plant]:
-    """The plants with tops in a tile. is_plant: bool (n,), by the classes of the producer; None without these."""
+    """The plants with tops in a tile. is_plant: bool (n,), by the producer's classes; None if it has no classes of
+    plants."""
     x_m, y_m = cloud.x_m, cloud.y_m
     ground_m = ground_z_m(cloud)
     height_m = cloud.z_m - ground_m
@@ -126,7 +129,7 @@ def _plants(
         place = shapely.points(x_m[chosen], y_m[chosen])
         near = outlines.query(place, predicate="dwithin", distance=RULES.beside_m)[0]
         chosen = np.delete(chosen, near)
-    # the first of equally high points is the top, whatever their order in files
+    # sorted, so that the top among equally high points does not depend on their order in files
     chosen = chosen[np.lexsort([values[chosen] for values in (cloud.z_m, x_m, y_m)])]
     label = _basins(row[chosen], column[chosen], height_m[chosen], shape)
     chosen = chosen[label[row[chosen], column[chosen]] > 0]
@@ -145,7 +148,7 @@ def _plants(
             mesh = _volume(
                 np.column_stack([x_m[own], y_m[own]]), ground_m[top] + base_m, float(cloud.z_m[top])
             )
-            # the cell of the top, which is of no other crown, in decimetres: some formats allow no dot
+            # named by the cell of its top, which no other crown has; in decimetres, as some formats allow no dot
             place = [f"{10 * RULES.cell_m * (each[top] // RULES.cell_m):.0f}" for each in (x_m, y_m)]
             yield Plant(
                 "_".join(["plant", *place]),
@@ -158,7 +161,7 @@ def _plants(
 
 
 def _basins(row: np.ndarray, column: np.ndarray, height_m: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The number of the crown of each cell, from 1, int (rows, columns); -1 without one."""
+    """int (rows, columns): the number of the crown of each cell, from 1; below 1 for a cell of no crown."""
     canopy_m = np.zeros(shape)
     np.maximum.at(canopy_m, (row, column), height_m)
     canopy_m = scipy.ndimage.grey_closing(canopy_m, 3)
@@ -170,12 +173,13 @@ def _basins(row: np.ndarray, column: np.ndarray, height_m: np.ndarray, shape: tu
     top, _ = scipy.ndimage.label((smooth_m == highest_m) & is_canopy, np.ones((3, 3)))
     depth_cm = np.clip(65535 - 100 * smooth_m, 0, 65535).astype(np.uint16)
     label = scipy.ndimage.watershed_ift(depth_cm, np.where(is_canopy, top, -1).astype(np.int32))
-    # what is no canopy floods the rim of the crowns, too
+    # the basins of what is no canopy take the rims of crowns, too: give these back to the crown beside
     return np.where(is_canopy & (label < 1), scipy.ndimage.grey_dilation(label, 5), label)
 
 
 def _volume(xy_m: np.ndarray, low_z_m: float, high_z_m: float) -> Mesh:
-    """A closed volume around points (n, 2): an ellipsoid that is in each direction as wide as the points."""
+    """A closed volume around points (n, 2) between two heights: an ellipsoid whose radius in each horizontal direction
+    reaches the farthest point there."""
     from trimesh.creation import uv_sphere  # takes longer to import than the rest
 
     def side(xy: np.ndarray) -> np.ndarray:

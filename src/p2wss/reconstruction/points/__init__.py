@@ -1,1 +1,1 @@
-"""Points of buildings: where they are on disk, whose they are, of which class, and whether they can be."""
+"""Points of buildings: an index on disk, missing classes, points of neighbours, the ground, and plausibility."""

@@ -1,9 +1,9 @@
-"""A cloud in cells on disk: written chunk by chunk, read by places.
+"""A cloud in square cells on disk: written chunk by chunk, read by places.
 
-Memory holds one chunk, the requested points, and a few numbers per cell with points, however large the cloud is, and
-however far its points, or the places of interest, are from each other. Points get classes where their
-producer has none, by :func:`p2wss.reconstruction.points.unclassified.with_classes`; what is read for a place is the
-same whatever else is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
+Memory holds one chunk, the requested points, and a few numbers per cell with points. It does not grow with the size of
+the cloud or with the distances between its points. Points that their producer did not classify get classes by
+:func:`p2wss.reconstruction.points.unclassified.with_classes`. The points read for a place are the same whatever else is
+in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from p2wss.skeleton.types import numbered
 from p2wss.storage.temporary import Closeable, Scratch
 
 CELL_M = 64.0
-# cells of a square whose points get classes together, and around it those that decide whether they need any
+# cells per side of a square, whose points get classes together; cells around it that help to decide whether they do
 _SQUARE, _AROUND = 2, 1
 _RECORD = np.dtype(
     [
@@ -39,7 +39,7 @@ _COLUMNS = ("x_m", "y_m", "z_m", "day", "classification")
 _LAST_BITS_M = 1e-6
 # points that are sorted together
 _CHUNK = 500_000
-# points of which there are numbers per cell: all, and those of a class
+# what is counted per cell: all points, and the points of two classes
 _COUNTED = (None, GROUND_CLASS, BUILDING_CLASS)
 BYTES_PER_POINT = _RECORD.itemsize
 
@@ -54,13 +54,13 @@ class CloudIndex(Closeable):
         self.crs: pyproj.CRS | None = None
         self.num_points = 0
         self.has_plants = False
-        # of whole squares and what is around them
+        # cells of whole squares and around them
         first, last = np.split(_windows(boxes) // _SQUARE * _SQUARE, 2, axis=1)
         self._window = np.unique(np.hstack([first - _AROUND, last + _SQUARE - 1 + _AROUND]), axis=0)
-        # cells with points, ascending, and the numbers of these
+        # cells with points, ascending, and their numbers of points
         self._key = np.zeros(0, np.int64)
         self._count = np.zeros((len(_COUNTED), 0), np.int64)
-        # of points of one cell and file: their cell, first and last place in the scratch file, and their file
+        # runs of points of one cell and file: cell, first place in the scratch file, place after the last, file number
         self._runs = [np.zeros((0, 4), np.int64)]
         self._paths: list[Path | None] = []
         self._num_read = self._num_written = 0
@@ -72,7 +72,7 @@ class CloudIndex(Closeable):
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """What all cells cover, metres; an empty window without cells."""
+        """The bounds of all cells, in metres; zeros without cells."""
         if not len(self._window):
             return 0.0, 0.0, 0.0, 0.0
         low_x, low_y = (self._window[:, :2].min(axis=0) * CELL_M).tolist()
@@ -131,8 +131,8 @@ class CloudIndex(Closeable):
         self._scratch.append(records.view(np.uint8).data)
 
     def drop_repeated(self) -> None:
-        """Keep points of several files once, and tell how many (:func:`p2wss.clouds.reading.repeated`); after the last
-        of :meth:`append`."""
+        """Keep points that several files contain only once, and log how many there are
+        (:func:`p2wss.clouds.reading.repeated`). Call it once, after the last :meth:`append`."""
         runs = np.concatenate(self._runs)
         runs = runs[np.argsort(runs[:, 0], kind="stable")]
         self._runs, told = self._runs[:1], Counter[tuple[int, int]]()
@@ -157,11 +157,11 @@ class CloudIndex(Closeable):
         tell_repeated(told, self._paths)
 
     def near(self, boxes: np.ndarray, adds_classes: bool = True) -> Cloud:
-        """The points in all cells that boxes (n, 4) touch, cell by cell in the order in which they were added, with
-        classes unless ``adds_classes`` is false.
+        """The points in all cells that boxes (n, 4) touch, cell by cell, in each cell in the order in which they were
+        added. boxes: inside the boxes of the index.
 
-        Points of a square of two by two cells get classes if no point of class ground, or none of class building, is
-        in the four by four cells around its centre. boxes: within those of the index.
+        Unless ``adds_classes`` is false, the points of a square of two by two cells get classes if the four by four
+        cells around its centre have no point of class ground, or no point of class building.
         """
         cells = self._key[_within(self._key, _windows(boxes))]
         cloud, number = self._read(cells)
@@ -173,20 +173,20 @@ class CloudIndex(Closeable):
         ascending = number[order]
         for k in square[~has_all].tolist():
             around, number_around = self._read(_cells_around(np.array([k])).ravel())
-            around, _ = with_classes(around)
             inside = _square(_key_of(around.x_m, around.y_m)) == k
+            around, _ = with_classes(around, inside)
             place = _positions(ascending, number_around[inside])
             classes[order[place[place >= 0]]] = around.classification[inside][place >= 0]
         return replace(cloud, classification=classes)
 
     def count(self, boxes: np.ndarray) -> int:
-        """The number of points in all cells that boxes touch."""
+        """The number of points in all cells that boxes (n, 4) touch."""
         return int(self._count[0, _within(self._key, _windows(boxes))].sum())
 
     def has_points(self, x_m: np.ndarray, y_m: np.ndarray, classification: int | None = None) -> np.ndarray:
-        """Whether the files have points around each place, bool (n,): in the four by four cells of :meth:`near`.
+        """bool (n,): whether the files have points around each place, in the four by four cells of :meth:`near`.
 
-        classification: whether they have points of :data:`GROUND_CLASS` or of :data:`BUILDING_CLASS`.
+        classification: count only points of this class, :data:`GROUND_CLASS` or :data:`BUILDING_CLASS`; None: all.
         """
         result = np.zeros(len(x_m), bool)
         known = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
@@ -195,14 +195,14 @@ class CloudIndex(Closeable):
         return result
 
     def _has(self, square: np.ndarray, classification: int | None) -> np.ndarray:
-        """Whether there are points around squares, bool (n,)."""
+        """bool (n,): whether there are points of a class, or any points for None, in and around each square."""
         around = _cells_around(square)
         place = _positions(self._key, around.ravel()).reshape(around.shape)
-        count = np.append(self._count[_COUNTED.index(classification)], 0)  # the last one is of a missing cell
+        count = np.append(self._count[_COUNTED.index(classification)], 0)  # last: of a missing cell
         return np.asarray((count[place] > 0).any(axis=1))
 
     def _read(self, cells: np.ndarray) -> tuple[Cloud, np.ndarray]:
-        """The points of cells and their numbers, cell by cell in the order in which they were added."""
+        """(the points of cells, the number of each point in the order of adding), sorted by cell and this number."""
         runs = np.concatenate(self._runs)
         runs = runs[np.isin(runs[:, 0], cells)]
         records = self._records(runs[np.argsort(runs[:, 0], kind="stable")])
@@ -220,12 +220,12 @@ class CloudIndex(Closeable):
 
 
 def _key(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """The number of cells or squares by their rows and columns, int64."""
+    """int64: the key of each cell or square, from its row and column."""
     return np.asarray(row).astype(np.int64) * 2**32 + np.asarray(column).astype(np.int64) + 2**31
 
 
 def _key_of(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """The cell of each point; that of a point of two files whose coordinates differ in their last bits is the same."""
+    """The cell of each point; the same cell for a point of two files whose coordinates differ in their last bits."""
     return _key(*(np.floor((values + _LAST_BITS_M) / CELL_M) for values in (y_m, x_m)))
 
 
@@ -240,7 +240,7 @@ def _square(cell: np.ndarray) -> np.ndarray:
 
 
 def _cells_around(square: np.ndarray) -> np.ndarray:
-    """The cells of each square and around it, (n, 16)."""
+    """int64 (n, 16): the cells of each square and around it."""
     row, column = _row_and_column(square)
     steps = np.arange(-_AROUND, _SQUARE + _AROUND)
     rows = (row * _SQUARE)[:, None, None] + steps[:, None]
@@ -249,13 +249,13 @@ def _cells_around(square: np.ndarray) -> np.ndarray:
 
 
 def _windows(boxes: np.ndarray) -> np.ndarray:
-    """First column and row, last column and row of the cells that boxes touch, int64 (n, 4), without order; none of
-    boxes that are not finite."""
+    """int64 (n, 4): first column, first row, last column and last row of the cells that a box touches, each window
+    once, not in the order of the boxes. Boxes that are not finite are left out."""
     return np.unique(np.floor(boxes[np.isfinite(boxes).all(axis=1)] / CELL_M).astype(np.int64), axis=0)
 
 
 def _within(ascending: np.ndarray, windows: np.ndarray) -> np.ndarray:
-    """The positions, ascending, of those of some cells that are in one of the windows at least."""
+    """The ascending positions of the cells that are in at least one of the windows. ascending: the cells."""
     rows = np.unique(_row_and_column(ascending)[0])
     first = np.searchsorted(rows, windows[:, 1])
     window, row = _ranges(first, np.searchsorted(rows, windows[:, 3], "right"))
@@ -266,14 +266,14 @@ def _within(ascending: np.ndarray, windows: np.ndarray) -> np.ndarray:
 
 
 def _ranges(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All whole numbers of ranges (n,), without the last: (the range of each, the numbers)."""
+    """All integers from ``first`` (n,) to before ``last`` (n,): (the range of each integer, the integers)."""
     count = np.maximum(last - first, 0)
     of = np.repeat(np.arange(len(count)), count)
     return of, np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count) + first[of]
 
 
 def _positions(ascending: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The position of each value, -1 of one that is missing."""
+    """The position of each value in ``ascending``; -1 for a missing value."""
     if not len(ascending):
         return np.full(len(values), -1)
     place = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)

@@ -1,4 +1,4 @@
-"""The ground of each building: a chain of sources, none of which may be above what the building's own points allow."""
+"""The ground of each building: the first source of a chain that is not above what the building's own points allow."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
 AROUND, TERRAIN, LOWEST, STOREY = "around", "terrain", "lowest-points", "storey"
-# of one without points or terrain, that of the nearest buildings
+# without points and terrain: the median ground of the nearest buildings
 BUILDINGS = "nearest-buildings"
-# and where it is not seen: the lowest points around, hardly any of which has class ground; those of the building
+# where the ground is not seen: the lowest points around, hardly any of class ground, or the lowest of the building
 UNSEEN = UNCLASSIFIED, OWN = "unclassified-points", "own-points"
 
 
@@ -28,12 +28,13 @@ UNSEEN = UNCLASSIFIED, OWN = "unclassified-points", "own-points"
 class Rules:
     """Where the ground of a building may be; set by hand from drawn old towns.
 
-    lowest_roof_m, storey_m: the lowest roof is at least this high, and a storey if nothing else is known.
-    low_quantile: of the heights of a building's points; lower ones may be of a shaft, or of a neighbour's roof.
-    roof_share: of a building's points that show its roof if they have class building, or else all of them do. step_m:
-    they are no ground where the points beside are so far below. ground_step_m: points of class building that are so
-    near to the height of the ground around are of it, if they are fewer than half. min_own_points: that show a roof.
-    terrain_sd_m, storey_sd_m: expected standard deviations without points of the ground.
+    lowest_roof_m: the lowest roof is at least this high. storey_m: height of the low roof if nothing else is known.
+    low_quantile: this quantile of the heights of the roof's points is the low roof; lower points may be of a shaft, or
+    of a neighbour's roof. roof_share: if at least this share of a building's points has class building, only these show
+    the roof, else all points do. step_m: points without class building may be ground, unless they are this much above
+    the points beside. ground_step_m: points of class building within this height of the ground around are taken as
+    ground, if they are at most half. min_own_points: least number of points that show a roof. terrain_sd_m,
+    storey_sd_m: expected standard deviations where no points show the ground.
     """
 
     lowest_roof_m: float = 1.0
@@ -52,8 +53,9 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class Grounds:
-    """z_m: (n,), of each building; NaN of one without points or terrain, whose ground is that of others. source: object
-    (n,). sd_m: (n,), its standard deviation; NaN for the usual source, the ground around the footprint."""
+    """The ground of each building. z_m: (n,); NaN without points and terrain: such a building gets the ground of the
+    nearest buildings. source: object (n,). sd_m: (n,), the standard deviation of ``z_m``; NaN for the usual source, the
+    ground around the footprint."""
 
     z_m: np.ndarray
     source: np.ndarray
@@ -61,12 +63,13 @@ class Grounds:
 
 
 def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Terrain | None) -> Grounds:
-    """The ground of buildings. That of one without points is the mean of the terrain at the vertices of the footprint.
+    """The ground of buildings: usually the ground points around the footprint.
 
-    The ground around a footprint is not that of the building if the points on its roof are lower: then the ground is
-    the terrain, that of the lowest points around which are below the roof, or a storey below the roof, the first that
-    is below it. Where no ground is seen around, it is the terrain, or else that of the lowest points without class
-    around or, without any, the lowest of the building's own points.
+    The terrain is the mean of its heights at the vertices of the footprint. A building without points stands on the
+    terrain. If the ground around is too high for the points on the roof, the ground is the first of these that is low
+    enough: the terrain, the lowest points around that are below the roof, or a storey below the roof. Where no ground
+    is seen around, it is the terrain, else the lowest unclassified points around, else the lowest of the building's own
+    points.
     """
     count = len(cropped.ground_z_m)
     z_m, sd_m = cropped.ground_z_m.copy(), cropped.guess_sd_m.copy()
@@ -83,7 +86,7 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
         roof = own[cloud.classification[own] == BUILDING_CLASS]
         if len(roof) < RULES.roof_share * len(own):
             roof = own
-        # a producer's points of buildings may be of the ground beside these
+        # points to which the producer gave class building may be of the ground beside the building
         higher = roof[np.abs(cloud.z_m[roof] - z_m[p]) > RULES.ground_step_m]
         if roof is not own and 2 * len(higher) >= len(roof):
             roof = higher
@@ -92,9 +95,9 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
                 quantile(cloud.z_m[each], RULES.low_quantile) if len(each) else np.inf
                 for each in (roof, beside)
             )
-            # without class building, points on the footprint may be of the ground, if it is not lower beside them
+            # points without class building may be of the ground, if the points beside are not far below them
             may_be_ground = roof is own and low_z < low_beside_z + RULES.step_m
-            # without it, they count only from a greater height on
+            # points without class building count as a roof only from a greater height on
             lowest_m = MIN_HEIGHT_M if roof is own else RULES.lowest_roof_m
             highest_z[p] = low_z + (RULES.lowest_roof_m if may_be_ground else -lowest_m)
         if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p] or is_unseen[p]):

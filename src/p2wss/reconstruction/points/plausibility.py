@@ -1,4 +1,4 @@
-"""Whether clouds, footprints and terrain can be of one place in one unit: a sample of footprints, before the work."""
+"""Whether clouds, footprints and terrain agree in place and units: checked on a sample of footprints before a run."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ from p2wss.storage.log_lines import log
 class Rules:
     """What a sample of footprints is, and what it tells; set by hand.
 
-    num_sampled, around_m: footprints, and the distance around each in which its points are read, at most ``together``
-    of them. max_gap_m: a terrain further from the ground of the points is of other units or of another height system;
-    odd_gap_m: one further than that may be.
-    left_share, left_m: what is left of such a gap by one of the factors, at most: a share of the heights, or
-    metres. feet_ratio: heights of points by stated ones, if the former are in feet; a stated height is of the eave or
-    of the ridge. same_ratio: of most houses, this ratio is the same but for so much. high_m, slender, low_m: medians of
-    houses that are higher, and so many times as high as they are wide, and those that are lower, tell that heights are
-    in another unit: where the user does not state it, and where they do. flat_m: a lower median, by heights in metres,
-    tells that these are no heights, or of the ground alone. usual_m: the unit that is guessed makes the median as near
-    to this, by a factor, as any does. layers_m: heights of the ground of one survey at one place do not differ by so
-    much; min_points, min_squares, num_layered: of a place, such places, and footprints where this is looked at.
-    max_undulation_m: from the ellipsoid to the sea. step_m: x or y of so many points around a footprint have smaller
-    steps, unless digits were lost; of a raster, both have the same.
+    num_sampled: number of footprints. around_m: points are read up to this distance from each footprint; footprints are
+    read one by one if there are more points than ``together``. max_gap_m: a terrain further from the ground of the
+    points has other units or another height system; odd_gap_m: a terrain further than this may have.
+    left_share, left_m: a factor explains such a gap if it leaves at most this share of the heights, or these metres.
+    feet_ratio: range of the ratio of heights of points and stated heights, if the points are in feet; a stated height
+    may be of the eave or of the ridge. same_ratio: for most houses, the ratio differs at most by this share from its
+    median. high_m, slender, low_m: heights are in another unit if the median house is higher than ``high_m`` and more
+    than ``slender`` times as high as wide, or lower than ``low_m``; the first value applies if the user does not state
+    the unit, the second if the user does. flat_m: if the median house is lower by heights in metres, z are no heights,
+    or all points are of the ground. usual_m: the guessed unit is the one that brings the median height nearest to this,
+    by ratio. layers_m: the ground of one survey does not differ in height by this much within a square metre;
+    min_points: least points of such a square, min_squares: least squares, num_layered: footprints where this is
+    checked. max_undulation_m: largest distance of the ellipsoid from the sea level. step_m: (metres, points): around a
+    footprint with this many points, x and y have smaller steps than this; if only one has, digits were lost, and if
+    neither has, the points are a raster.
     """
 
     num_sampled: int = 32
@@ -63,7 +65,7 @@ class Rules:
 
 
 RULES = Rules()
-# factors by which heights of a terrain may be wrong, with the unit that they then have
+# factors that may convert wrong heights of a terrain, and the unit that the heights then have
 _FACTORS = {
     0.3048: "ft",
     0.01: "cm",
@@ -73,19 +75,20 @@ _FACTORS = {
     10.0: "",
     100.0: "",
 }
-# steps of float32 are powers of two, in the unit of the file
+# steps of float32 are powers of two in the unit of the file, up to this error of the exponent
 _BINARY = 1e-3
 _UNITS = ("m", "ft", "dm", "cm", "mm")
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What is known of n footprints, each (n,), NaN where it is not.
+    """What is known of n footprints, each array (n,), NaN where it is unknown.
 
-    ground_z_m: of the points. height_m: the median of the points on the footprint above that. width_m: side of a
-    square of its area. stated_height_m: by the footprint. terrain_z_m: of the terrain at its centre. num_points: on the
-    footprint. layers_m: between heights of the ground around it (:func:`_layers_m`). step_m: (2,), of all, the smallest
-    step in x and in y between points; 0 of few points.
+    ground_z_m: the ground by the points. height_m: median height above it of the points on the footprint. width_m: side
+    of a square with the area of the footprint. stated_height_m: the height that the footprint states. terrain_z_m: the
+    terrain at the centre of the footprint. num_points: points on the footprint. layers_m: height difference of layers
+    of the ground around the footprint (:func:`_layers_m`). step_m: (2,), the smallest step in x and in y between points
+    of all footprints; 0 if no footprint has enough points.
     """
 
     ground_z_m: np.ndarray
@@ -99,7 +102,7 @@ class Sample:
 
     @property
     def gap_m(self) -> np.ndarray:
-        """Of the terrain above the ground of the points, of footprints with both."""
+        """Heights of the terrain above the ground of the points, for footprints where both are known."""
         gap_m = self.terrain_z_m - self.ground_z_m
         return gap_m[np.isfinite(gap_m)]
 
@@ -146,17 +149,18 @@ def sample_of(
 
 
 def _layers_m(ground_m: np.ndarray) -> float:
-    """The largest step between successive heights of a square metre of ground, without its highest and lowest sixth:
-    the median of all with enough points, NaN if there are few. ground_m: points, (3, n).
+    """The median, over the square metres of ground with enough points, of the largest step between successive heights
+    in a square; the highest and lowest sixth of a square's points are left out. NaN if there are too few squares.
 
-    Of one survey this is noise, also on slopes; of two that differ in their heights, the difference.
+    In one survey this is noise, also on slopes. Where two surveys differ in height, it is the difference. ground_m:
+    ground points, (3, n).
     """
     square = np.floor(ground_m[0]) + 1j * np.floor(ground_m[1])
     order = np.lexsort((ground_m[2], square))
     begin = np.flatnonzero(differs(square[order]))
     size = np.diff(begin, append=len(order))
     place, num = np.arange(len(order)) - np.repeat(begin, size), np.repeat(size, size)
-    # where a step begins: none of the highest and lowest sixth
+    # points at which a step begins, without the highest and lowest sixth
     is_inner = (num >= RULES.min_points) & (place >= num // 6) & (place + 1 < num - num // 6)
     steps = np.diff(ground_m[2, order], append=np.nan)[is_inner]
     steps = np.maximum.reduceat(steps, np.flatnonzero(differs(np.repeat(begin, size)[is_inner])))
@@ -165,7 +169,7 @@ def _layers_m(ground_m: np.ndarray) -> float:
 
 def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -> None:
     """Raise :class:`InputError` for heights that contradict each other by a factor or an offset, unless the user states
-    their unit; warn where they are doubtful. height_unit, terrain_unit: that the user states, or ""."""
+    their unit; warn where they are doubtful. height_unit, terrain_unit: as the user states them, or ""."""
     if inputs.terrain is not None:
         try:
             check_terrain(sample, str(inputs.terrain[1]))
@@ -201,12 +205,12 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
     text = "" if height_unit else feet_instead_of_metres(sample, vertical_m)
     if text and not is_stated:
         raise InputError(f"{inputs.headers[0].path}: {text}")
-    if text := text or odd_houses(sample, vertical_m, height_unit):
+    if text := text or odd_houses(sample, vertical_m, height_unit, inputs.footprints is not None):
         log.warning("warning: %s: %s", inputs.headers[0].path, text)
 
 
 def check_terrain(sample: Sample, name: str) -> None:
-    """Raise :class:`InputError` for a terrain that is far from the ground of the points; log a note if it may be."""
+    """Raise :class:`InputError` for a terrain far from the ground of the points; log a note for a smaller gap."""
     gap_m = sample.gap_m
     if not len(gap_m) or abs(np.median(gap_m)) <= RULES.odd_gap_m:
         return
@@ -233,8 +237,8 @@ def check_terrain(sample: Sample, name: str) -> None:
 
 
 def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
-    """What tells by stated heights that those of points, taken for metres, are in feet, or the other way round; else
-    ""."""
+    """A text if stated heights show that heights of points are in feet and not, as assumed, in metres, or the other way
+    round; else "". vertical_m: length of the assumed unit."""
     is_feet = abs(vertical_m - 0.3048) < 1e-3
     times = times_stated(sample)
     low, high = (1 / RULES.feet_ratio[1], 1 / RULES.feet_ratio[0]) if is_feet else RULES.feet_ratio
@@ -248,7 +252,8 @@ def feet_instead_of_metres(sample: Sample, vertical_m: float) -> str:
 
 
 def times_stated(sample: Sample) -> float:
-    """How many times as high as their footprints state most of several roofs are; NaN if that is not known."""
+    """The median ratio of the heights of roofs and the heights that their footprints state; NaN if there are fewer than
+    two, or if their ratios differ too much."""
     ratio = sample.height_m / sample.stated_height_m
     ratio = ratio[np.isfinite(ratio) & (sample.stated_height_m > 2.0) & (sample.height_m > 1.0)]
     if len(ratio) < 2 or (abs(ratio / np.median(ratio) - 1) < RULES.same_ratio).mean() <= 0.7:
@@ -256,15 +261,16 @@ def times_stated(sample: Sample) -> float:
     return float(np.median(ratio))
 
 
-def odd_houses(sample: Sample, vertical_m: float, stated: str) -> str:
-    """What tells by the shape of houses that heights are not in the unit of this length; else "". stated: that unit, if
-    the user states it."""
+def odd_houses(sample: Sample, vertical_m: float, stated: str, are_mapped: bool = True) -> str:
+    """A text if the shape of houses shows that heights are not in the assumed unit; else "". vertical_m: length of this
+    unit. stated: the unit as the user states it, or "". are_mapped: whether footprints are of a map; those that are
+    derived from points may be parts of houses, which are more slender."""
     is_known = np.isfinite(sample.height_m)
     if not is_known.any():
         return ""
     height_m = float(np.median(sample.height_m[is_known]))
     slender = float(np.median(sample.height_m[is_known] / sample.width_m[is_known]))
-    k = int(bool(stated))
+    k = int(bool(stated) or not are_mapped)
     if vertical_m > 0.99 and height_m < RULES.flat_m:
         return (
             f"houses are {height_m:.2f} m high; are z of the points heights, and are there points of roofs?"

@@ -1,8 +1,9 @@
 """Building and ground points for clouds without these classes, from heights above the ground and planarity.
 
-Ground: the lowest points of cells of 1 m, opened with growing windows; what an opening lowers by more than a slope
-allows is not ground (K. Pingel et al. 2013, "An improved simple morphological filter for the terrain classification of
-airborne LIDAR data"). Buildings: points at least 2 m above the ground whose neighbours lie on planes.
+Ground: a raster of the lowest points in cells of 1 m is opened (a morphological opening) with growing windows. A cell
+that an opening lowers by more than a slope allows is not ground (K. Pingel et al. 2013, "An improved simple
+morphological filter for the terrain classification of airborne LIDAR data"). Buildings: points at least 2 m above the
+ground whose neighbours lie on planes.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from p2wss.clouds.reading import Cloud
 from p2wss.data.las_classes import (
     BUILDING_CLASS,
     GROUND_CLASS,
+    PERHAPS_ROOF_CLASS,
     PLANT_CLASSES,
     UNCLASSIFIED_CLASS,
     VEGETATION_CLASS,
@@ -24,7 +26,7 @@ from p2wss.data.las_classes import (
     has_class,
 )
 from p2wss.data.points import MIN_HEIGHT_M
-from p2wss.data.tiling import Bounds, grown
+from p2wss.data.tiling import Bounds, bounds_of_points, grown
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.types import numbered
 
@@ -33,10 +35,14 @@ from p2wss.skeleton.types import numbered
 class Rules:
     """What is ground, and what lies on a plane; set by hand.
 
-    max_radius_m: half the width of the widest building that is not taken for ground. low_percentile, max_below_m:
-    without single low outliers, a cell counts as no lower than this below the second lowest of the nine around it, and
-    a point that all others there are so far above is none of its, in so many rounds, num_alone.
-    max_roughness_m: rms distance of neighbours, no further than max_distance_m, from their plane. steepest_deg: plane.
+    cell_m: side of a cell. max_radius_m: half the width of the widest building that is not taken for ground.
+    ground_slope: an object is lowered by an opening by more than this slope times the radius of the opening.
+    low_percentile, max_below_m: a cell counts as at most ``max_below_m`` lower than this percentile, the second lowest,
+    of the nine cells around it. A point more than ``max_below_m`` below all other points of these nine cells is an
+    outlier; num_alone: rounds in which outliers are removed. ground_tolerance_m: ground points are at most this far
+    from the raster of the ground. num_neighbours, max_distance_m: a point needs this many neighbours within this
+    distance. max_roughness_m: largest rms distance of the neighbours from their plane. least_share: of the neighbours
+    of a point on a plane, this share at least is on planes. steepest_deg: largest slope of these planes.
     """
 
     cell_m: float = 1.0
@@ -49,19 +55,29 @@ class Rules:
     num_neighbours: int = 12
     max_distance_m: float = 2.0
     max_roughness_m: float = 0.12
+    least_share: float = 0.5
     steepest_deg: float = 75.0
 
 
 RULES = Rules()
+# metres: points are sparse if the last of their neighbours is farther in plan. Such neighbours are of several roofs.
+# By the sparse rules, most points of a roof lie on planes, but many of a tree, too: they hold in footprints, where few
+# trees are. Chosen on Delft and Adelaide, thinned to 1, 2 and 4 points per m2
+_SPARSE_M = 0.85
+_SPARSE_RULES = replace(RULES, num_neighbours=8, max_distance_m=3.0, max_roughness_m=0.15, least_share=0.34)
 _CHUNK = 10_000
-# the raster of a cloud with more cells is made tile by tile, each of so many cells along a side: houses that lie over
-# 8 x 10 km, or a corridor of 50 km, are hardly any of what is around them
+# metres: points farther than this, three neighbourhoods, do not tell whether a point lies on a plane
+_PLANAR_MARGIN_M = 9.0
+# a raster of more cells than the first is made tile by tile, with the second as cells along the side of a tile. Points
+# scattered over 8 x 10 km, or along a corridor of 50 km, would leave most cells of one raster empty
 _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
-# metres around a tile in which points tell what is ground in it
+# points up to this many metres around a tile help to tell its ground
 _TILE_MARGIN_M = 200.0
-# what the producer missed: of a cell, at least this share of the points that are high lies on planes; cells across the
-# narrowest, as trains and lorries are 3 m wide; square metres of the smallest
+# buildings that the producer missed: in a cell, at least this share of the high points lies on planes; least width in
+# cells, as trains and lorries are 3 m wide; least area in square metres
 _FLAT_SHARE, _MIN_WIDTH_CELLS, _MISSED_M2 = 0.5, 5, 40.0
+# LAS gives no class of ground, buildings or plants beyond; of more points than this share, a warning is due
+_LAST_KNOWN_CLASS, _UNKNOWN_SHARE = 18, 0.3
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
@@ -79,11 +95,12 @@ _WITHOUT_FOOTPRINTS = (
 )
 
 
-def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
-    """The cloud with ground and building points where it has none at all of a class, and a warning for each class.
+def with_classes(cloud: Cloud, wanted: np.ndarray | None = None) -> tuple[Cloud, list[str]]:
+    """The cloud with class ground, class building or both added if it has no point of that class; a warning for each.
 
     Only points that are unclassified, vegetation, of overlapping flights or of a class without a meaning in LAS get
-    another class; those of vegetation are no ground.
+    another class. Points of vegetation may become buildings, but not ground. wanted: bool (n,), the points that need
+    class building; the others are only around them. None: all points.
     """
     classes = cloud.classification
     if not len(cloud):
@@ -98,17 +115,31 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
         classes = np.where(may_be_ground & is_lowest, GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
         height_m = cloud.z_m - ground_z_m(replace(cloud, classification=classes))
-        candidates = np.flatnonzero(is_open(classes) & (height_m >= MIN_HEIGHT_M))
-        is_planar = planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
+        candidates = np.flatnonzero(is_open(classes) & (height_m >= MIN_HEIGHT_M) & _near(cloud, wanted))
+        high_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates]
+        is_planar = planar(high_m)
+        others = np.where(_perhaps_planar(high_m, ~is_planar), PERHAPS_ROOF_CLASS, VEGETATION_CLASS)
         classes = classes.copy()
-        classes[candidates] = np.where(is_planar, BUILDING_CLASS, VEGETATION_CLASS)
+        classes[candidates] = np.where(is_planar, BUILDING_CLASS, others)
     return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 0)
 
 
+def _near(cloud: Cloud, wanted: np.ndarray | None) -> np.ndarray:
+    """bool (n,): the points that may decide whether the ``wanted`` points lie on planes."""
+    if wanted is None:
+        return np.ones(len(cloud), bool)
+    bounds = bounds_of_points(cloud.x_m[wanted], cloud.y_m[wanted])
+    if bounds is None:
+        return wanted
+    return in_window(cloud.x_m, cloud.y_m, grown(bounds, _PLANAR_MARGIN_M))
+
+
 def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
-    """(a cloud with class building, which the unclassified points of buildings that the producer missed have, too; the
-    area of these in square metres). These are on planes 2 m above the ground, in areas at least 5 m wide of 40 m2 and
-    more without points of the ground and of class building: neither trees nor trains and lorries are."""
+    """(the cloud, in which unclassified points of missed buildings get class building; the area of these buildings).
+
+    The producer has missed a building where unclassified points lie on planes at least 2 m above the ground, in an area
+    of at least 40 m2 that is at least 5 m wide and has no points of class ground or building. Trees, trains and lorries
+    do not meet these rules."""
     classes = cloud.classification
     is_high = (classes <= UNCLASSIFIED_CLASS) & (cloud.z_m - ground_z_m(cloud) >= MIN_HEIGHT_M)
     is_flat, is_missed = np.zeros((2, len(cloud)), bool)
@@ -135,7 +166,9 @@ def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
 
 
 def warnings(num_without_ground: int, num_without_buildings: int, num_footprints: int) -> list[str]:
-    """A warning for each class that the points around some footprints lack, or those of a cloud without footprints."""
+    """A warning for class ground and one for class building, where points lack the class. The first two numbers are
+    footprints around which no point has the class; num_footprints: all with points around. For a cloud without
+    footprints, num_footprints is 0, and the others are 1 if the cloud lacks the class."""
     result: list[str] = []
     of_buildings = _WITHOUT_BUILDINGS + (_IN_FOOTPRINTS if num_footprints else _WITHOUT_FOOTPRINTS)
     for count, number, text in (
@@ -151,16 +184,30 @@ def warnings(num_without_ground: int, num_without_buildings: int, num_footprints
     return result
 
 
+def warnings_of_unknown(counts: np.ndarray) -> list[str]:
+    """A warning if many points have classes to which this package gives no meaning. counts: int (256,), the number of
+    points of each class."""
+    unknown = np.flatnonzero(counts)
+    unknown = unknown[unknown > _LAST_KNOWN_CLASS]
+    share = counts[unknown].sum() / max(counts.sum(), 1)
+    if share < _UNKNOWN_SHARE:
+        return []
+    return [
+        f"{share:.0%} of the points have class {', '.join(map(str, unknown))}, read as neither ground, building nor"
+        " plants; if they are, region.classes says so: preset custom, with the producer's classes ground and building"
+    ]
+
+
 def is_open(classes: np.ndarray) -> np.ndarray:
-    """Whether a point of each class may be ground or building. Where flights overlap, producers gave the points of one
-    of them class 12 (LAS 1.1 to 1.3), whatever they are on."""
+    """Whether a point of each class may be ground or building in fact. That includes class 12: where flights overlap,
+    producers gave it to all points of one flight (LAS 1.1 to 1.3)."""
     meanings = (GROUND_CLASS, BUILDING_CLASS, WATER_CLASS, 10, 11, *range(13, 19))
     return (classes <= UNCLASSIFIED_CLASS) | ~np.isin(classes, meanings)
 
 
 def tiles(x_m: np.ndarray, y_m: np.ndarray, cell_m: float) -> list[Bounds]:
-    """Windows of whole cells that are apart and have all points (n,) of a cloud, each with some of them: one without
-    limits, unless its raster would be too large."""
+    """Disjoint windows that together contain all points (n,) of a cloud, none of them empty. It is one infinite window,
+    unless its raster would be too large; else tiles of whole cells."""
     if np.ptp(x_m) * np.ptp(y_m) <= _MAX_CELLS * cell_m**2:
         return [(-np.inf, -np.inf, np.inf, np.inf)]
     side_m = _TILE_CELLS * cell_m
@@ -169,19 +216,19 @@ def tiles(x_m: np.ndarray, y_m: np.ndarray, cell_m: float) -> list[Bounds]:
 
 
 def _with_surroundings(cloud: Cloud) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Of each tile (rows of the points in it and around it, which of these are inside)."""
+    """For each tile: (indices of the points in it and around it, bool: which of these are inside)."""
     for tile in tiles(cloud.x_m, cloud.y_m, RULES.cell_m):
         near = np.flatnonzero(in_window(cloud.x_m, cloud.y_m, grown(tile, _TILE_MARGIN_M)))
         yield near, in_window(cloud.x_m[near], cloud.y_m[near], tile)
 
 
 def in_window(x_m: np.ndarray, y_m: np.ndarray, window: Bounds) -> np.ndarray:
-    """Whether each point is in a window, bool (n,); its north and east sides are not."""
+    """bool (n,): whether each point is in a window; its north and east sides are outside."""
     return np.asarray((x_m >= window[0]) & (x_m < window[2]) & (y_m >= window[1]) & (y_m < window[3]))
 
 
 def _cells(x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """(row of each point, its column, shape of the raster); cells begin at whole metres, whatever the window."""
+    """(row of each point, column of each point, shape of the raster). Cells begin at whole multiples of ``cell_m``."""
     row, column = (
         np.floor(y_m / RULES.cell_m).astype(np.int64),
         np.floor(x_m / RULES.cell_m).astype(np.int64),
@@ -191,7 +238,7 @@ def _cells(x_m: np.ndarray, y_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, tu
 
 
 def filled(raster: np.ndarray) -> np.ndarray:
-    """The raster with the nearest value in cells without one (NaN)."""
+    """The raster, in which cells without a value (NaN) get the value of the nearest cell with one."""
     index = scipy.ndimage.distance_transform_edt(
         np.isnan(raster), return_distances=False, return_indices=True
     )
@@ -199,7 +246,7 @@ def filled(raster: np.ndarray) -> np.ndarray:
 
 
 def _lowest(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
-    """Whether each point is ground, bool (n,)."""
+    """bool (n,): whether each point is ground, by the filter of the module's docstring."""
     row, column, shape = _cells(x_m, y_m)
     is_alone, around = np.zeros(len(z_m), bool), np.ones((3, 3), bool)
     around[1, 1] = False
@@ -229,7 +276,8 @@ def _lowest(x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
 
 
 def ground_z_m(cloud: Cloud) -> np.ndarray:
-    """The height of the ground at each point, float64 (n,): the mean ground point of its cell or of the nearest."""
+    """float64 (n,): the height of the ground at each point: the mean z of the ground points in its cell, or in the
+    nearest cell with some; the lowest z of the cloud without ground points."""
     row, column, (num_rows, _) = _cells(cloud.x_m, cloud.y_m)
     is_ground = cloud.classification == GROUND_CLASS
     if not is_ground.any():
@@ -244,19 +292,37 @@ def ground_z_m(cloud: Cloud) -> np.ndarray:
     return mean_m[nearest(place, at)[1][of_point, 0]]
 
 
-def planar(xyz_m: np.ndarray) -> np.ndarray:
-    """Whether each point is on a plane with most of its neighbours, bool (n,)."""
-    if len(xyz_m) <= RULES.num_neighbours:
-        return np.zeros(len(xyz_m), bool)
+def _perhaps_planar(xyz_m: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """bool (n,): which of the ``wanted`` points, bool (n,), are sparse and lie on planes by looser rules than
+    :func:`planar`."""
+    result, rows = np.zeros(len(xyz_m), bool), np.flatnonzero(wanted)
+    if len(rows) and len(xyz_m) > RULES.num_neighbours:
+        xy_m = xyz_m[:, :2] - np.floor(xyz_m[:, :2].min(axis=0))
+        rows = rows[nearest(xy_m, xy_m[rows], RULES.num_neighbours)[0][:, -1] > _SPARSE_M]
+        result[rows] = planar(xyz_m, _SPARSE_RULES, rows)
+    return result
+
+
+def planar(xyz_m: np.ndarray, rules: Rules = RULES, wanted: np.ndarray | None = None) -> np.ndarray:
+    """bool (m,): whether at least ``least_share`` of the neighbours of each point lie on a plane with their own
+    neighbours. wanted: int (m,), the points; None: all of ``xyz_m``, (n, 3)."""
+    if len(xyz_m) <= rules.num_neighbours:
+        return np.zeros(len(xyz_m if wanted is None else wanted), bool)
     local = xyz_m - np.floor(xyz_m.min(axis=0))
-    distance_m, neighbour = nearest(local, local, RULES.num_neighbours)
-    is_flat = distance_m[:, -1] <= RULES.max_distance_m
-    for first in range(0, len(local), _CHUNK):
+    distance_m, neighbour = nearest(local, local if wanted is None else local[wanted], rules.num_neighbours)
+    of_wanted = neighbour
+    if wanted is not None:
+        # only their neighbours are asked for a plane
+        asked, number = numbered(neighbour.ravel())
+        of_wanted = number.reshape(neighbour.shape)
+        distance_m, neighbour = nearest(local, local[asked], rules.num_neighbours)
+    is_flat = distance_m[:, -1] <= rules.max_distance_m
+    for first in range(0, len(neighbour), _CHUNK):
         rows = slice(first, first + _CHUNK)
         around = local[neighbour[rows]]
         around = around - around.mean(axis=1, keepdims=True)
-        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / RULES.num_neighbours)
-        is_flat[rows] &= np.sqrt(np.maximum(values[:, 0], 0)) <= RULES.max_roughness_m
-        is_flat[rows] &= np.abs(vectors[:, 2, 0]) >= np.cos(np.radians(RULES.steepest_deg))
-    # edges and chimneys of a roof are among its points, single branches of a tree are not
-    return is_flat[neighbour].mean(axis=1) >= 0.5
+        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / rules.num_neighbours)
+        is_flat[rows] &= np.sqrt(np.maximum(values[:, 0], 0)) <= rules.max_roughness_m
+        is_flat[rows] &= np.abs(vectors[:, 2, 0]) >= np.cos(np.radians(rules.steepest_deg))
+    # a share of the neighbours: edges and chimneys count as roof, single flat branches of a tree do not
+    return is_flat[of_wanted].mean(axis=1) >= rules.least_share

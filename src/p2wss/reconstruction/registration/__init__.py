@@ -1,1 +1,1 @@
-"""Footprints moved to where the points are, and what is wrong with them."""
+"""Footprints moved to where the points show the buildings, and flags where the points contradict a footprint."""

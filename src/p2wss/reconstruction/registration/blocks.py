@@ -1,4 +1,4 @@
-"""Blocks of the registration: footprints that touch and move together, and the edges of a block that are free."""
+"""Blocks of the registration: groups of touching footprints that move together, and the free edges of a block."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from p2wss.skeleton.types import Polygons
 
 # footprints closer than this touch
 WALL_GAP_M = 0.01
-# footprints that overlap deeper than this are no neighbours but two that lie wrong
+# footprints that overlap deeper than this do not touch as neighbours: one of them lies wrong
 _MAX_OVERLAP_M = 0.01
-# of the area of its footprints, a block has at least so much
+# the outline of a block has at least this share of the area of its footprints
 _KEPT_SHARE = 0.97
-# corners of outlines that change nothing
+# corners of outlines that change less than this are dropped
 _SIMPLIFY_M = 0.1
-# an edge becomes as many pieces of equal length as are at least so long
+# an edge is cut into equal pieces, as many as possible with at least this length
 _PIECE_M = 20.0
 
 
@@ -28,8 +28,8 @@ class Blocks:
     """The n blocks of a run.
 
     of_footprint: int64 (footprints,), the block of each footprint, -1 for an empty one. outline: the polygons of all
-    blocks, without party walls, counter-clockwise. of_outline: the block of each, int64. edge: (e, 4), the ends of all
-    edges, long ones in pieces, the outside on their right. of_edge: the block of each edge, int64 (e,).
+    blocks, without party walls, counter-clockwise. of_outline: int64, the block of each outline. edge: (e, 4), the ends
+    of all edges, long ones in pieces, the outside on their right. of_edge: int64 (e,), the block of each edge.
     """
 
     count: int
@@ -44,7 +44,7 @@ class Blocks:
 
 
 def find_blocks(footprints: np.ndarray) -> Blocks:
-    """The blocks of polygons (object array); a block has the number of its first footprint among those of blocks."""
+    """The blocks of polygons (object array), numbered in the order of their first footprints."""
     present = np.flatnonzero(~shapely.is_empty(footprints))
     shapes = footprints[present]
     of_present = connected(shapes)
@@ -66,8 +66,8 @@ def find_blocks(footprints: np.ndarray) -> Blocks:
 def connected(shapes: np.ndarray) -> np.ndarray:
     """The block of each polygon, int64, numbered in the order of their first polygons.
 
-    Two polygons are of one block if they touch, in a corner at least: are nearer than ``WALL_GAP_M`` and overlap by
-    less than 1 cm. So no shift moves one into the other, or away from it.
+    Two polygons are in one block if they touch, at least in a corner: they are nearer than ``WALL_GAP_M``, and overlap
+    by less than 1 cm. As a block moves as a whole, its polygons move neither into nor away from each other.
     """
     wide = shapely.buffer(shapes, WALL_GAP_M / 2, join_style="mitre", mitre_limit=2.0)
     first, second = shapely.STRtree(wide).query(wide, predicate="intersects")
@@ -86,7 +86,7 @@ def _outline(shapes: np.ndarray) -> np.ndarray:
             shapely.buffer(shapes, 1.2 * WALL_GAP_M, join_style="mitre", mitre_limit=2.0)
         )
         inner = shapely.buffer(closed, -1.2 * WALL_GAP_M, join_style="mitre", mitre_limit=2.0)
-        # of one in a few hundred shapes with short edges, GEOS leaves a part or nothing
+        # for one in a few hundred shapes with short edges, the buffer of GEOS is only a part of the shape, or empty
         shape = inner if inner.area > _KEPT_SHARE * shapely.area(shapes).sum() else closed
     else:
         shape = shapes[0]
@@ -95,7 +95,7 @@ def _outline(shapes: np.ndarray) -> np.ndarray:
 
 
 def _pieces(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
-    """The ends of all edges, long ones in pieces, (e, 4), and the polygon of each, int64 (e,)."""
+    """(the ends of all edges, long ones in pieces, float64 (e, 4); the polygon of each edge, int64 (e,))."""
     of_edge = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
     edge = np.column_stack([polygons.xy_m, polygons.xy_m[polygons.next_vertex]])
     length = np.hypot(edge[:, 2] - edge[:, 0], edge[:, 3] - edge[:, 1])

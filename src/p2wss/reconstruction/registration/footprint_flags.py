@@ -1,9 +1,10 @@
 """Footprints that the cloud contradicts: without a building, partly demolished, with roofs or without points beyond.
 
-The evidence is counted in cells of 1 m. A cell is ground if it has ground points and none of class building, and roof
-if it has at least as many points of class building as of ground. Only compact areas count: those that squares of three
-by three cells cover, which footprints some decimetres beside their walls do not have. The area of cells without points,
-of which sparse clouds have many, is that of those around them, in equal parts. At 1 point/m2 a tenth is missed still.
+The evidence is counted in cells of 1 m. A cell is ground if it has ground points and no points of class building. It is
+roof if it has at least as many points of class building as of ground. Only compact areas count: areas that squares of
+three by three cells cover. A footprint some decimetres beside its walls has no such areas. Sparse clouds have many
+cells without points: their area is shared equally among the cells with points around them. At 1 point/m2, a tenth is
+missed still.
 """
 
 from __future__ import annotations
@@ -25,17 +26,19 @@ from p2wss.skeleton.types import Polygons, distinct, numbered
 class Rules:
     """What contradicts a footprint.
 
-    beyond_m, contact_m: how far beyond a footprint roofs are counted, and how near the nearest must be. min_cells:
-    least cells with evidence of a square of nine, and of a footprint. min_area_m2: of ground inside or roofs outside
-    that is flagged, or inside with no point in the cells of half of ``beyond_m`` around; of these, as large a share of
-    the footprint as ``min_far_share``. min_ground_share, max_roof_share: of the cells with points, where there is no
-    building. min_unseen_share: of its area without a point in the cells, where the others have ``min_in_cell`` on
-    average, as there are so many in sparse clouds.
+    beyond_m: roofs are counted up to this far beyond a footprint. contact_m: the nearest of them must be this near.
+    min_cells: least number of cells with evidence in a square of nine, and of cells with points in a footprint.
+    min_area_m2: least area that is flagged: ground inside, roofs outside, or area inside that is far from points, with
+    no point in the cells of ``beyond_m / 2`` on and around it. min_far_share: least share of the footprint that is far
+    from points. min_ground_share, max_roof_share: there is no building if, of the cells with points, at least and at
+    most these shares are ground and roof. min_unseen_share: least share of the footprint in cells without a point; it
+    counts only if the cells with points have at least ``min_in_cell`` points on average, as sparse clouds have many
+    cells without points.
 
-    min_wall_m, level_m, min_length_m: a cell of ground, of half of ``beyond_m``, has a wall if one beside it is so much
-    lower. If so many metres of walls, where the lowest points around a footprint are searched, are as high as the
-    ground there, up to so far apart, that is no ground. On a podium in Toronto there are 200 m at least, in twelve
-    other places less than 60 m.
+    min_wall_m, level_m, min_length_m: the rules of raised ground. A cell of ground, of side ``beyond_m / 2``, has a
+    wall if a cell beside it is lower by at least ``min_wall_m``. Walls are searched where the lowest points around a
+    footprint are. Raised ground has walls of at least ``min_length_m`` within ``level_m`` of the height of the ground
+    at the footprint. A podium in Toronto has 200 m at least, twelve other places have less than 60 m.
     """
 
     beyond_m: float = 6.0
@@ -59,8 +62,8 @@ RULES = Rules()
 class Evidence:
     """The evidence in the cloud that contradicts n footprints.
 
-    ground_inside_m2: compact ground area inside each, (n,). roof_outside_m2: compact roof area outside all footprints
-    and nearest to each, up to 6 m away, (n,). flags: per footprint the names of the flags that follow
+    ground_inside_m2: (n,), compact ground area inside each footprint. roof_outside_m2: (n,), compact roof area outside
+    all footprints, up to 6 m away and nearest to this footprint. flags: the names of the flags of each footprint
     (:data:`p2wss.data.reasons.FLAGS`).
     """
 
@@ -113,7 +116,7 @@ def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
 
 
 def on_raised_ground(polygons: Polygons, cloud: Cloud) -> np.ndarray:
-    """Whether the ground around each footprint ends in walls, as a podium does, bool (n,)."""
+    """bool (n,): whether the ground around each footprint is raised: it ends in walls, as a podium does."""
     is_ground = cloud.classification == GROUND_CLASS
     size_m = RULES.beyond_m / 2
     x_m, y_m, z_m = (column[is_ground] for column in (cloud.x_m, cloud.y_m, cloud.z_m))
@@ -133,7 +136,8 @@ def on_raised_ground(polygons: Polygons, cloud: Cloud) -> np.ndarray:
 
 
 def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
-    """The area (n,) of polygons (n,) that is far from all points."""
+    """float64 (n,): the area of each polygon in cells of ``beyond_m / 2`` that have no point, nor have the cells around
+    them."""
     size_m = RULES.beyond_m / 2
     step = np.add.outer(np.arange(-1, 2), 1j * np.arange(-1, 2)).ravel()
     # as complex numbers, which sort by the first and then the second coordinate
@@ -146,7 +150,7 @@ def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
         some = near[slice(*np.searchsorted(near.real, [low_x, high_x + 1]))]
         some = some[(some.imag >= low_y) & (some.imag <= high_y)]
         num_far = (high_x - low_x + 1) * (high_y - low_y + 1) - len(some)
-        if num_far > len(some):  # what is near is less work: of a footprint of a country, far less
+        if num_far > len(some):  # near cells are fewer, for a footprint as large as a country far fewer
             result[k] = shape.area - _area_in(shape, some, size_m)
         elif num_far:
             place = np.add.outer(np.arange(low_x, high_x + 1), 1j * np.arange(low_y, high_y + 1)).ravel()
@@ -156,7 +160,7 @@ def _far_m2(shapes: np.ndarray, cells: _Cells) -> np.ndarray:
 
 
 def _area_in(shape: shapely.Polygon, cell: np.ndarray, size_m: float) -> float:
-    """The area of a polygon in cells, numbered by complex numbers."""
+    """The area of a polygon in square cells. cell: complex (k,), column + row * 1j of each cell."""
     x_m, y_m = size_m * cell.real, size_m * cell.imag
     box = shapely.box(x_m, y_m, x_m + size_m, y_m + size_m)
     return float(shapely.area(shapely.intersection(shape, box)).sum())
@@ -165,7 +169,8 @@ def _area_in(shape: shapely.Polygon, cell: np.ndarray, size_m: float) -> float:
 def _of_nearest(
     polygons: Polygons, cells: _Cells, footprint: np.ndarray, cell: np.ndarray, beyond: np.ndarray
 ) -> np.ndarray:
-    """Area of the cells ``beyond`` nearest to each footprint, 0 where none of them touches it."""
+    """float64 (n,): the area of the cells ``beyond`` that are nearer to this footprint than to others; 0 if the nearest
+    is farther than ``contact_m``. beyond: bool (cells,). footprint, cell: pairs of a footprint and a cell near it."""
     pairs = np.flatnonzero(beyond[cell])
     footprint, cell = footprint[pairs], cell[pairs]
     shapes = polygon_arrays.to_geometries(polygons)[footprint]
@@ -179,14 +184,15 @@ def _of_nearest(
 
 
 class _Cells:
-    """The cells of 1 m that have points, at whole metres. of_point: of each, their numbers. x_m, y_m: their centres.
-    num_points: in each. is_ground, is_roof: masks. area_m2: of each with its share of those around it that have none.
-    neighbour: (9, cells), those around each; the number of all cells for one without points."""
+    """The cells of 1 m that have points, at whole metres. of_point: the cell of each point. x_m, y_m: the centres of
+    the cells. num_points: the points in each cell. is_ground, is_roof: masks. area_m2: the area of each cell with its
+    share of the cells around it that have no points. neighbour: int (9, cells), the cells around each cell and itself;
+    the number of cells in place of a cell without points."""
 
     def __init__(self, x_m: np.ndarray, y_m: np.ndarray, classification: np.ndarray) -> None:
         column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
         first, last = (int(column.min()), int(column.max())) if len(column) else (0, 0)
-        # a column more on either side, so that no cell has a neighbour in another row
+        # one more column on either side, so that no cell has a neighbour at the other end of a row
         self._left, self._width = first - 1, last - first + 3
         key = row * self._width + column - self._left
         self._key, self.of_point = numbered(key)
@@ -207,9 +213,9 @@ class _Cells:
         self.area_m2 = 9 / self.around(np.ones(count, bool))
 
     def around(self, mask: np.ndarray) -> np.ndarray:
-        """How many of the nine cells around each are in the mask."""
+        """How many of the nine cells in and around each cell are in the mask."""
         return np.append(mask, False)[self.neighbour].sum(axis=0)
 
     def spread(self, mask: np.ndarray) -> np.ndarray:
-        """The cells around which one of nine is in the mask."""
+        """Whether one of the nine cells in and around each cell is in the mask."""
         return self.around(mask) > 0

@@ -1,10 +1,10 @@
 """Registration: footprints moved to where the cloud shows the buildings, block by block.
 
-Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruction.registration.shifts`). It is used
-only where the evidence of the points is clear, together with that of the blocks around it; without evidence of its own
-the block gets the shift of these if they agree. A block's shift depends only on these, on the points around, and on the
-blocks that compete for them. Where a producer gave many roof points of a block another class than building, such points
-do not count as outside.
+Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruction.registration.shifts`). The shift is
+used only where the evidence of the points is clear, and is combined with the shifts of the blocks around. A block
+without clear evidence gets the shift of the blocks around if they agree. So a block's shift depends only on the blocks
+around, on the points around, and on the blocks that compete for these points. Where a producer gave many roof points of
+a block another class than building, such points do not count as outside.
 """
 
 from __future__ import annotations
@@ -38,25 +38,28 @@ from p2wss.reconstruction.running.failures import note, surviving
 from p2wss.skeleton.types import distinct, numbered
 from p2wss.storage.features import Features
 
-# so far inside its outlines, a block has no walls, and moved by as much no trees
+# this far inside its outlines, a block has no walls, and no trees even if it is displaced by as much
 _INSIDE_M = 1.0
-# a roof reaches so far below and above its points in a cell of 1 m
+# a roof may reach this far below and above its points in a cell of 1 m
 _TOLERANCE_M = 0.3
-# least number, and share of all roof points inside, of a block whose roofs were missed. In eight places whose classes
-# are good, blocks have at most 0.6 %, and 4.5 % if their footprints are moved by 1.5 m under trees.
+# the roofs of a block were missed if it has at least this number of points like roofs, and this share of all points
+# inside that are roofs or like roofs. In eight places whose classes are good, blocks have at most 0.6 %, and 4.5 % if
+# their footprints are moved by 1.5 m under trees.
 _MIN_POINTS, _MIN_SHARE = 5, 0.1
-# footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
+# footprints this near compete for roofs outside of both: twice the reach of the flags, plus twice the reach of shifts
 _BESIDE_M = 20.0
-# blocks this near show the shift of one without clear evidence
+# blocks this near to a block show its shift
 _AROUND_M = 50.0
-# points this far from a block matter to it: the largest shift, what is beyond an edge, and a cell of the search
+# points this far from a block matter to it: the largest shift, the strip beyond an edge, and a cell of the search
 REACH_M = MAX_SHIFT_M + DATA_M + SEARCH.cell_m
-# edges are moved to where their steps were found, since further steps may be near
+# rounds in which edges are moved by the shift found before, as further steps may then be in reach
 _NUM_ROUNDS = 2
 EDGES, AROUND, NOTHING = "edges", "around", "none"
-# whether a footprint may be moved, and by which evidence: int8; p2wss itself classified all points, or all but ground
+# int8: whether a footprint may be moved, and by which classes of points: none, p2wss's own for all points, p2wss's own
+# for all but ground, or the producer's
 STAYS, OWN_CLASSES, OWN_BUILDINGS, CLASSES = range(4)
-# the least evidence of flags: without the producer's classes, what is ground and roof is known from the footprints
+# the least evidence with which a flag is set; :data:`CLASSES` for all others, because without the producer's classes,
+# ground and roof are told apart by the footprints
 _FLAGGED = {
     reasons.BEYOND_POINTS: OWN_CLASSES,
     reasons.RAISED_GROUND: OWN_CLASSES,
@@ -67,7 +70,7 @@ _FLAGGED = {
 def like_roofs(
     x_m: np.ndarray, y_m: np.ndarray, z_m: np.ndarray, is_roof: np.ndarray, is_other: np.ndarray
 ) -> np.ndarray:
-    """Which of the other points are at the heights of the roof points in their cell of 1 m, bool (n,)."""
+    """bool (n,): which of the points ``is_other`` are at the heights of the roof points in the same cell of 1 m."""
     column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
     cells, cell = numbered((row << 31) + column)
     low_m, high_m = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
@@ -79,7 +82,7 @@ def like_roofs(
 def with_missed_roofs(
     blocks: Blocks, x_m: np.ndarray, y_m: np.ndarray, is_roof: np.ndarray, is_like: np.ndarray
 ) -> np.ndarray:
-    """The blocks with many points like roofs (:func:`like_roofs`) well inside their outlines, bool (blocks,)."""
+    """bool (blocks,): whether a block has many points like roofs (:func:`like_roofs`) well inside its outlines."""
     inner = shapely.buffer(polygon_arrays.to_geometries(blocks.outline), -_INSIDE_M)
     parts, of_part = shapely.get_parts(inner, return_index=True)
     point, _, offset = crop_points(x_m, y_m, polygon_arrays.to_polygons(parts), 0.0)
@@ -92,12 +95,12 @@ def with_missed_roofs(
 
 @dataclass(frozen=True)
 class Evidence:
-    """Which evidence moves a block. Chosen on real places with all points, half and a seventh of them, and with blocks
-    moved by known vectors, so that what is in place stays (``benchmarks/registration.py``).
+    """Which evidence moves a block. Chosen on real places with all, half and a seventh of the points, and with blocks
+    displaced by known vectors, so that a block in place stays there (``benchmarks/registration.py``).
 
-    max_sd_m: evidence is clear with a standard deviation of at most this. min_shift_m, min_sigmas: a shift is used from
-    this length, and from this many standard deviations: one edge that misleads shifts a block by less than one.
-    max_sigmas_apart: the blocks around count where their shift is at most so far from that of the block.
+    max_sd_m: evidence is clear if the standard deviation is at most this. min_shift_m, min_sigmas: a shift is used if
+    it has at least this length, and at least this many standard deviations; one misleading edge shifts a block by less
+    than one. max_sigmas_apart: the blocks around count if their shift differs from the block's by at most this many.
     """
 
     max_sd_m: float = 0.5
@@ -107,7 +110,7 @@ class Evidence:
 
 
 EVIDENCE = Evidence()
-# of points that p2wss itself classified, which takes trees and decks for roofs
+# for points that p2wss itself classified, which takes trees and decks for roofs
 OWN_EVIDENCE = Evidence(min_shift_m=0.7, min_sigmas=2.0)
 
 
@@ -130,13 +133,12 @@ class Shifts:
 class Registration:
     """What registration did to a footprint.
 
-    input_polygon: the footprint before. shift_m: its movement. shift_sd_m: standard deviation of the
-    shift in its worse direction; None without evidence.
-    source: :data:`EDGES`, :data:`AROUND` or :data:`NOTHING`. overhang_m: how far the roofs of the block reach
-    beyond its edges, negative where they end inside; None without evidence of these. flags, ground_inside_m2,
-    roof_outside_m2: how the cloud contradicts the moved footprint
-    (:mod:`p2wss.reconstruction.registration.footprint_flags`). block: the least id of its footprints; empty for a
-    footprint that was excluded.
+    input_polygon: the footprint before. shift_m: its movement. shift_sd_m: the standard deviation of the shift in its
+    worse direction; None without evidence. source: :data:`EDGES`, :data:`AROUND` or :data:`NOTHING`. overhang_m: how
+    far the roofs of the block reach beyond its edges, negative where they end inside; None without evidence of edges.
+    flags, ground_inside_m2, roof_outside_m2: how the cloud contradicts the moved footprint
+    (:mod:`p2wss.reconstruction.registration.footprint_flags`). block: the least id of the footprints of its block; ""
+    for a footprint that was excluded.
     """
 
     input_polygon: shapely.Polygon
@@ -153,11 +155,11 @@ class Registration:
 def register(
     features: Features, cloud: Cloud, registers: np.ndarray | None = None
 ) -> tuple[Features, list[Registration]]:
-    """(the footprints where the cloud shows the buildings, what was done to each).
+    """(the footprints, moved to where the cloud shows the buildings; what was done to each).
 
     features: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
-    :meth:`Surroundings.around`. registers: of each, :data:`OWN_CLASSES` or :data:`OWN_BUILDINGS`, where p2wss
-    itself classified points around, or :data:`CLASSES`, the default; those of a block are the same.
+    :meth:`Surroundings.around`. registers: int8 (footprints,): :data:`OWN_CLASSES` or :data:`OWN_BUILDINGS` where p2wss
+    itself classified points around, else :data:`CLASSES`, the default; the same for all footprints of a block.
     """
     shapes = features.geometry
     blocks = find_blocks(shapes)
@@ -201,7 +203,8 @@ def register(
 
 
 def summary(registrations: Iterable[Registration | None]) -> str:
-    """One line: how many footprints were moved, and which the cloud contradicts; None counts as without evidence.
+    """One line: how many footprints were moved, and how many the cloud contradicts, by flag. A registration that is
+    None counts as without evidence.
 
     ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m (columns shift_x_m, shift_y_m); 62 in place,
     0 without evidence; extended: 6``
@@ -225,7 +228,7 @@ def summary(registrations: Iterable[Registration | None]) -> str:
 
 
 class Surroundings:
-    """The blocks of all footprints of a run, and which of them the registration of others depends on."""
+    """The blocks of all footprints of a run; tells on which other blocks the registration of a block depends."""
 
     def __init__(self, footprints: np.ndarray) -> None:
         """footprints: object array of polygons."""
@@ -243,10 +246,10 @@ class Surroundings:
         is_chosen: np.ndarray,
         distances_m: Sequence[float] = (_BESIDE_M, _AROUND_M + 1, 2 * REACH_M),
     ) -> np.ndarray:
-        """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
+        """bool (footprints,): the chosen footprints, and all on which their registration depends.
 
-        These are all footprints of their blocks, those beside them, which their flags depend on, those around all
-        these, whose shift they may get, and those with which they compete for points.
+        These are all footprints of their blocks; the blocks beside these, on which their flags depend; the blocks
+        around all of these, whose shift they may get; and the blocks with which these compete for points.
         """
         blocks = np.unique(self._of_present[is_chosen[self._present]])
         for distance_m in distances_m:
@@ -258,12 +261,12 @@ class Surroundings:
         return result
 
     def whole_blocks(self, is_chosen: np.ndarray) -> np.ndarray:
-        """All footprints of the blocks of the chosen ones, bool (footprints,)."""
+        """bool (footprints,): all footprints of the blocks that have a chosen footprint."""
         return self.around(is_chosen, ())
 
 
 def blocks_around(blocks: Blocks) -> np.ndarray:
-    """Pairs of blocks that are near each other, int64 (p, 2), each twice, ascending."""
+    """int64 (p, 2): pairs of blocks that are near each other, each pair in both orders, sorted."""
     corner = blocks.edge.reshape(-1, 2)
     low, high = np.full((len(blocks), 2), np.inf), np.full((len(blocks), 2), -np.inf)
     np.minimum.at(low, np.repeat(blocks.of_edge, 2), corner)
@@ -275,7 +278,7 @@ def blocks_around(blocks: Blocks) -> np.ndarray:
 
 
 class _Near:
-    """The points near blocks that are in no other one, and the blocks where they are assumed to be."""
+    """The points near each block, without the points inside other blocks, and the estimates of shifts from them."""
 
     def __init__(self, blocks: Blocks, cloud: Cloud) -> None:
         self.blocks = blocks
@@ -287,7 +290,7 @@ class _Near:
         weight = point_weights(cloud.classification[used])
         is_roof, is_other = weight == 1.0, weight == SEARCH.other_weight
         is_like = like_roofs(self.x_m, self.y_m, cloud.z_m[used], is_roof, is_other)
-        # of blocks whose roofs have good classes, and of others
+        # weights of points for blocks whose roofs have good classes, and for blocks with missed roofs
         self.weights = weight, np.where(is_like, 0.0, weight)
         self.is_missed = with_missed_roofs(blocks, self.x_m, self.y_m, is_roof, is_like)
         point = number[point]
@@ -301,16 +304,17 @@ class _Near:
         self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
 
     def block_of_points(self) -> np.ndarray:
-        """The block in whose outline each point is, -1 for none."""
+        """int64 (n,): the block that contains each point, -1 for a point outside all blocks."""
         point, inside, offset = crop_points(self.x_m, self.y_m, self.blocks.outline, 0.0)
         of_pair = np.repeat(self.blocks.of_outline, np.diff(offset))
         result = np.full(len(self.x_m), -1, np.int64)
-        # in an overlap, a point is of the first block
+        # a point in an overlap belongs to the first block
         result[point[inside][::-1]] = of_pair[inside][::-1]
         return result
 
     def estimates(self, names: Mapping[int, str]) -> list[Estimate]:
-        """The estimate of every block; where errors are met, none of a block at which it fails. names: of blocks."""
+        """The estimate of every block. Where errors are met, a block at which it fails gets no evidence. names: the
+        name of each block, for the log."""
         blocks, rows = self.blocks, list(pairwise(self.edges))
         failed: set[int] = set()
 
@@ -351,8 +355,8 @@ class _Near:
         return [NO_ESTIMATE if self._is_worse(k, each) else each for k, each in enumerate(best)]
 
     def _is_worse(self, block: int, estimate: Estimate) -> bool:
-        """Whether less of what is inside a block would be roofs if it were moved by an estimate than where it is: of
-        sparse points, steps of many short edges can agree by chance."""
+        """Whether a block would contain less roof if it were moved by an estimate than where it is. Where points are
+        sparse, the steps of many short edges can agree by chance. False for estimates that are not used anyway."""
         if not estimate.sd_m <= EVIDENCE.max_sd_m or np.hypot(*estimate.shift_m) < EVIDENCE.min_shift_m:
             return False
         point = self.points[block]
@@ -363,16 +367,16 @@ class _Near:
             weight[shapely.contains_xy(shape, self.x_m[point] - dx_m, self.y_m[point] - dy_m)]
             for dx_m, dy_m in (np.zeros(2), estimate.shift_m)
         )
-        # by the mean, as the sum depends on how many points are in a place
+        # means are compared, as sums depend on the density of points
         least = float(here.sum()) - SEARCH.as_good_points
         return bool(len(there)) and float(there.mean()) * len(here) < least
 
 
 def decide(estimates: list[Estimate], pairs: np.ndarray, is_own: np.ndarray) -> Shifts:
-    """The movements that are applied, decided by the evidence.
+    """The movements that are applied to n blocks, decided by the evidence.
 
-    pairs: of blocks that are near each other, (p, 2), each twice, ascending. is_own: of n blocks, those around which
-    p2wss itself classified the points, bool (n,).
+    pairs: (p, 2), pairs of near blocks, as :func:`blocks_around` returns them. is_own: bool (n,), whether p2wss itself
+    classified the points around a block.
     """
     count = len(estimates)
     shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
@@ -389,7 +393,7 @@ def decide(estimates: list[Estimate], pairs: np.ndarray, is_own: np.ndarray) -> 
             if around_sd_m <= EVIDENCE.max_sd_m:
                 source[block], shift_m[block], sd_m[block] = AROUND, around_m, around_sd_m
             continue
-        # maps are off by a smooth field: what the blocks around show is a further observation
+        # the error of a map varies smoothly, so the shift of the blocks around is a further observation
         apart_m, joint_sd_m = around_m - own_m[block], np.hypot(own_sd_m[block], around_sd_m)
         if np.hypot(*apart_m) <= EVIDENCE.max_sigmas_apart * joint_sd_m < np.inf:
             shift_m[block] += apart_m * (own_sd_m[block] / joint_sd_m) ** 2
@@ -401,10 +405,10 @@ def decide(estimates: list[Estimate], pairs: np.ndarray, is_own: np.ndarray) -> 
 
 
 def shift_around(shift_m: np.ndarray) -> tuple[np.ndarray, float]:
-    """(shift (2,), its standard deviation) of a further block, if those around it have the shifts (n, 2).
+    """(shift (2,), its standard deviation) of a block, predicted from the shifts (n, 2) of the blocks around.
 
-    The further block is within two deviations in 95 % of cases, also where these are estimated from few blocks: the
-    distance is that of a Student distribution of two dimensions. Infinite for less than two blocks.
+    The block's own shift is within two deviations in 95 % of cases, also if there are few blocks around: the distance
+    follows a Student distribution of two dimensions. The deviation is infinite for less than two blocks.
     """
     if len(shift_m) < 2:
         return np.zeros(2), float("inf")

@@ -1,8 +1,8 @@
-"""Where a block of footprints lies in the cloud: arrays only, all blocks of a run at once.
+"""Where a block of footprints lies in the cloud.
 
-The points of class building are inside a block, all others outside. A search over whole shifts finds the place where
-this holds best (:func:`search_shift`); around it, each free edge has a step along its normal from building to ground
-(:func:`edge_steps`), and the shift follows from all steps of the block (:func:`solve_shift`).
+Points of class building should be inside a block, all others outside. A search over a grid of shifts finds the place
+where this holds best (:func:`search_shift`). Around it, each free edge has a step along its normal from building to
+ground (:func:`edge_steps`). The shift follows from all steps of the block (:func:`solve_shift`).
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
 MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
-# points beyond a step and within this distance of its edge, so many of those in the strip, show that the data do not
-# end at the step
+# the data do not end at a step if the points beyond it, within this distance of the edge, are more than this share of
+# the points in the strip
 DATA_M, _MIN_BEYOND_SHARE = 4.0, 0.2
-# of an estimate, edges that are left out one by one
+# at most this many edges of a block are left out one by one
 _MOST_LEFT_OUT = 64
-# sums of weights that differ by less are equal: they are sums of halves
+# weights are halves, so sums of them that differ by less are equal
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Search:
-    """The search over whole shifts. Numbers of points are chosen so that single ones on chimneys, hedges and beside
-    walls decide nothing.
+    """The search over a grid of shifts. Numbers of points are chosen so that single points on chimneys, on hedges and
+    beside walls decide nothing.
 
-    other_weight: of a point that is neither on a building (1) nor on the ground (-1). cell_m, max_cells: the step
-    between shifts, and the number of cells from which it grows. as_good_points, as_good_share: shifts are as good as
-    the best one if their sums of weights are less by at most this many points, or by this share of all weights.
+    other_weight: the weight of a point that is neither on a building (1) nor on the ground (-1). cell_m, max_cells: the
+    step between shifts; it grows where there would be more cells than this. as_good_points, as_good_share: shifts count
+    as the best if their sum of weights is less than the largest by at most this, or by this share of all weights.
     """
 
     other_weight: float = -0.5
@@ -52,11 +52,11 @@ class StepRules:
     """The step of an edge. Chosen on real places with blocks moved by known vectors (``benchmarks/registration.py``).
 
     end_m: part at either end of the edge that is not used, because the points there may belong to the next wall.
-    min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: the weights inside a clear step exceed
-    those of a strip that is all inside, and of one that is all outside, by so many points, and by this share of those
-    of the side with fewer: a tree may hide where the roof ends. sd_m: standard deviation of a step, from the accuracy
-    of footprints and points. as_good_points: places of a step are as good as the best one if the weights inside are
-    less by no more; their extent adds to its deviation.
+    min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: a step is clear if the weights inside it
+    exceed the weights of the whole strip, and those of an empty strip, by at least so many points, and by this share of
+    the smaller one of the sums of positive and negative weights, as a tree may hide where the roof ends. sd_m: standard
+    deviation of a step, from the accuracy of footprints and points. as_good_points: places count as the step if the
+    weights inside are less than the largest by at most this; the extent of these places adds to the deviation.
     """
 
     end_m: float = 0.3
@@ -70,11 +70,11 @@ class StepRules:
 class Expected(NamedTuple):
     """What is expected before the steps are used, and how far they are trusted.
 
-    shift_sd_m, overhang_m, overhang_sd_m: roofs overhang walls by some decimetres. block_sd_m: the error that all steps
-    of a block share, since maps are inaccurate and roofs overhang one side more than the other.
-    half_weight_m: a step with this residual has half its weight (Cauchy); the weights settle in ``num_rounds``.
-    rest_of_prior: what remains of the prior of the shift, 1/m2, in the information of the edges alone, as a direction
-    that no edge determines must not make the matrix singular.
+    shift_sd_m: of the shift, expected as 0. overhang_m, overhang_sd_m: roofs overhang walls by some decimetres.
+    block_sd_m: the error that all steps of a block share, since maps are inaccurate and roofs overhang one side more
+    than the other. half_weight_m: a step with this residual has half its weight (Cauchy); the weights settle in
+    ``num_rounds``. rest_of_prior: information (1/m2) on the shift that is left when its prior is taken out of the
+    covariance, as the matrix would be singular if no edge determined a direction.
     """
 
     shift_sd_m: float = 1.0
@@ -87,7 +87,7 @@ class Expected(NamedTuple):
 
 
 SEARCH, STEP, EXPECTED = Search(), StepRules(), Expected()
-# eaves may be far wider
+# where eaves may be far wider than expected
 _ANY_OVERHANG = EXPECTED._replace(overhang_sd_m=1.0)
 
 
@@ -95,8 +95,8 @@ _ANY_OVERHANG = EXPECTED._replace(overhang_sd_m=1.0)
 class Estimate:
     """The shift of a block as its own edges show it.
 
-    shift_m: (2,). sd_m: its standard deviation in the less certain direction, if any one of the edges misleads, or the
-    expected overhang; infinite without any. overhang_m: how far the roof reaches beyond the edges.
+    shift_m: (2,). sd_m: its standard deviation in the less certain direction, in the worst case that one edge, or the
+    expected overhang, misleads; infinite without steps. overhang_m: how far the roof reaches beyond the edges.
     """
 
     shift_m: np.ndarray
@@ -104,12 +104,12 @@ class Estimate:
     overhang_m: float
 
 
-# that of a block whose edges show nothing
+# the estimate of a block whose edges show nothing
 NO_ESTIMATE = Estimate(np.zeros(2), float("inf"), float("nan"))
 
 
 def point_weights(classification: np.ndarray) -> np.ndarray:
-    """How much each point speaks for a building, (n,): 1 on a building, -1 on the ground, less anywhere else."""
+    """float64 (n,): how much each point speaks for a building: 1 on a building, -1 on the ground, -0.5 elsewhere."""
     weight = np.full(len(classification), SEARCH.other_weight)
     weight[has_class(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0
     weight[classification == BUILDING_CLASS] = 1.0
@@ -120,7 +120,7 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     """The shift of a polygon under which the weights inside it have the largest sum.
 
     edge: (e, 4), ends of all edges of the polygon. xy_m: (n, 2), points up to ``MAX_SHIFT_M`` around it. weight: (n,).
-    Returns the centre of the shifts whose sum is nearly the largest, (2,); without points, no shift.
+    Returns the mean (2,) of the shifts whose sum is nearly the largest; without points, no shift.
     """
     if not len(xy_m):
         return np.zeros(2)  # a map of a country has many buildings beyond the cloud
@@ -152,14 +152,15 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
 
 @lru_cache(8)
 def _shifts_m(reach: int, cell_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(x, y) of all shifts by whole cells up to ``reach``, and which are beyond ``MAX_SHIFT_M``."""
+    """(x, y, whether it is longer than ``MAX_SHIFT_M``) of all shifts by up to ``reach`` whole cells, as square
+    matrices with y growing by rows."""
     steps = np.arange(-reach, reach + 1) * cell_m
     dy, dx = np.meshgrid(steps, steps, indexing="ij")
     return dx, dy, dx**2 + dy**2 > MAX_SHIFT_M**2
 
 
 def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Cells whose centre is inside the polygon with these edges (even-odd rule), float64 (rows, columns)."""
+    """float64 (rows, columns): 1 for cells with the centre inside the polygon of edges (even-odd rule), else 0."""
     x0, y0, x1, y1 = edge.T - 0.5
     first = np.ceil(np.minimum(y0, y1)).astype(np.int64)
     count = np.ceil(np.maximum(y0, y1)).astype(np.int64) - first
@@ -172,7 +173,7 @@ def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 
 def strips(edge: np.ndarray) -> Polygons:
-    """A rectangle from ``WINDOW_M`` inside to ``DATA_M`` outside each edge (e, 4); empty for one that is too short."""
+    """A rectangle over each edge (e, 4), from ``WINDOW_M`` inside to ``DATA_M`` outside; empty for short edges."""
     start, end = edge[:, :2], edge[:, 2:]
     length = np.linalg.norm(end - start, axis=1)
     is_long = np.flatnonzero(length >= STEP.min_edge_m)
@@ -189,11 +190,11 @@ def strips(edge: np.ndarray) -> Polygons:
 def edge_steps(
     edge: np.ndarray, x_m: np.ndarray, y_m: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the building ends, along the outward normal from each edge (e, 4), (e,), and its standard deviation, (e,):
-    by the points in the strip over it. NaN where they do not show it.
+    """(the step of each edge, (e,), its standard deviation, (e,)): where the building ends, measured from the edge
+    along its outward normal, by the points in the strip over the edge. NaN where the points do not show a step.
 
-    edge: counter-clockwise around the block, so that the outside is on the right. weight: (n,), 1 for a point on a
-    building, and less for any other: 0 says nothing.
+    edge: (e, 4), counter-clockwise around the block, so that the outside is on the right. weight: (n,), 1 for a point
+    on a building, negative outside, 0 for a point that says nothing.
     """
     point, _, offset = crop_points(x_m, y_m, strips(edge), 0.0)
     of_edge = np.repeat(np.arange(len(edge)), np.diff(offset))
@@ -204,7 +205,7 @@ def edge_steps(
     near = np.flatnonzero(distance <= WINDOW_M)
     strip = near[np.lexsort([weight[point[near]], distance[near], of_edge[near]])]
     offset_m, sd_m = _steps(of_edge[strip], distance[strip], weight[point[strip]], len(edge))
-    # where the data end, nothing shows that the building does
+    # where the data end, nothing shows that the building ends
     num_in_strip = np.bincount(of_edge[strip], minlength=len(edge))
     num_beyond = np.bincount(of_edge[distance > offset_m[of_edge]], minlength=len(edge))
     return np.where(num_beyond > num_in_strip * _MIN_BEYOND_SHARE, offset_m, np.nan), sd_m
@@ -215,13 +216,13 @@ def _steps(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The steps from points sorted by edge and distance, and their deviations."""
     offset_m, sd_m = np.full((2, num_edges), np.nan)
-    # from here on of the edges with points only
+    # from here on, arrays are of the edges with points only
     edges, start, of_point, count = np.unique(
         of_edge, return_index=True, return_inverse=True, return_counts=True
     )
     running = np.cumsum(value)
     before = np.concatenate([[0.0], running])[start]
-    score = running - before[of_point]  # of a step just behind each point
+    score = running - before[of_point]  # the weights inside a step just behind each point
     best = np.maximum.reduceat(score, start)
     total = score[start + count - 1]
     at_best = np.where(score >= best[of_point] - _ROUNDING, np.arange(len(score)), len(score))
@@ -251,7 +252,7 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, sta
     The step of an edge is the shift along its normal, plus an overhang that all edges share.
 
     edge: ends of the edges, (e, 4), metres, already with the shift ``start_m``, (2,), which is part of the result.
-    step_m, step_sd_m: of these edges, (e,), NaN for none.
+    step_m, step_sd_m: (e,), the steps of these edges; NaN for an edge without a step.
     """
     rows = np.flatnonzero(np.isfinite(step_m))
     if not len(rows):
@@ -261,20 +262,20 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, sta
     design = np.column_stack([normal, np.ones(len(rows))])
     observed = (design, step_m[rows], step_sd_m[rows])
     (value,), (covariance,) = _solved(*observed, np.array([-1]), EXPECTED)
-    # those that the others can replace least
+    # the edges that the others can replace least
     least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[:_MOST_LEFT_OUT]
     without_edge = _solved(*observed, least, EXPECTED)
-    # nor may the expected overhang decide where the block is seen from one side only
+    # the expected overhang must not decide either, where only one side of the block is seen
     without_overhang = _solved(*observed, np.array([-1]), _ANY_OVERHANG)
     values, covariances = (np.concatenate(each) for each in zip(without_edge, without_overhang, strict=True))
     change_m = (values - value)[:, :2]
-    # steps that disagree by more than they should make all of them less certain
+    # steps that disagree more than expected make the whole estimate less certain
     off_m = step_m[rows] - design @ value
     weighted = (off_m / step_sd_m[rows]) ** 2 / (1 + (off_m / EXPECTED.half_weight_m) ** 2)
     excess = max(1.0, float(weighted.sum()) / max(len(rows) - 2, 1))
     worst = excess * covariances[:, :2, :2] + change_m[:, :, None] * change_m[:, None, :]
     variance_m2 = np.linalg.eigvalsh(worst)[:, -1].max() + EXPECTED.block_sd_m**2
-    # roofs do not end inside walls: decks along two sides look like a shift by half their width
+    # roofs do not end inside walls: a negative overhang is from decks along two sides, which look like a shift
     variance_m2 += min(value[2], 0.0) ** 2
     return Estimate(start_m + value[:2], float(np.sqrt(variance_m2)), float(value[2]))
 
@@ -283,8 +284,8 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, sta
 def _solved(
     design: np.ndarray, step_m: np.ndarray, sd_m: np.ndarray, left_out: np.ndarray, expected: Expected
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(shift and overhang (m, 3), their covariance without the prior of the shift (m, 3, 3)), each time without one of
-    n edges, -1 for none. design: (n, 3). step_m, sd_m: (n,), of the steps. left_out: (m,)."""
+    """(shift and overhang (m, 3), their covariance without the prior of the shift (m, 3, 3)): m solutions, each without
+    one of n edges. design: (n, 3). step_m, sd_m: (n,), of the steps. left_out: (m,), the edge left out, -1 for none."""
     value, covariance = np.zeros((len(left_out), 3)), np.empty((len(left_out), 3, 3))
     prior, matrix, right = np.zeros(3), np.empty((3, 3)), np.empty(3)
     prior[:2], prior[2] = 1 / expected.shift_sd_m**2, 1 / expected.overhang_sd_m**2

@@ -1,1 +1,1 @@
-"""Many buildings in processes, with failures survived and results kept on disk."""
+"""Running many buildings: in several processes, going on after failures, with results on disk."""

@@ -1,7 +1,7 @@
 """What a run does where its own code fails: everything else goes on, and the user is told.
 
-Within :meth:`Failures.met`, :func:`surviving` meets what a function raises, be it want of memory. Elsewhere, as with
-``reconstruct.strict``, it raises.
+Within :meth:`Failures.met`, :func:`surviving` catches what a function raises, a MemoryError included. Elsewhere, and
+with ``reconstruct.strict``, the error is raised.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ T = TypeVar("T")
 
 
 class Failures:
-    """The failures of a run. strict: raise the first. traces: by the name of what failed, such as the id of a
-    building, the traceback."""
+    """The failures of a run. strict: raise the first error. traces: the traceback of each failure, by the name of what
+    failed, such as the id of a building."""
 
     def __init__(self, strict: bool = False) -> None:
         self._strict = strict
@@ -28,7 +28,7 @@ class Failures:
 
     @contextmanager
     def met(self) -> Iterator[None]:
-        """A block, and the processes forked in it, in which failures are met."""
+        """A ``with`` block in which errors are met, also in processes forked in it; raised if ``strict``."""
         token = _current.set(None if self._strict else self)
         try:
             yield
@@ -45,12 +45,13 @@ _current: ContextVar[Failures | None] = ContextVar("failures", default=None)
 
 
 def met() -> Failures | None:
-    """Those of the run, within :meth:`Failures.met`; else None."""
+    """The failures of the run within :meth:`Failures.met`; None elsewhere, and with ``strict``."""
     return _current.get()
 
 
 def note(name: str, trace: str, instead: str) -> None:
-    """Keep the traceback of what failed, and log a line the first time. instead: what the run has in its place."""
+    """Keep the traceback of what failed, and log a line; only the first time for a ``name``. instead: what the run does
+    in its place, for the log."""
     failures = met()
     if failures is None or name in failures.traces:
         return
@@ -63,17 +64,18 @@ def note(name: str, trace: str, instead: str) -> None:
 def surviving(
     function: Callable[[Any], Iterable[T]], parts: Any, instead: Callable[[Any, str], Iterable[T]]
 ) -> list[T]:
-    """All that ``function`` gives for a sequence of parts; where it raises, for either half of them, and for a single
-    part what ``instead`` gives for that and the traceback.
+    """All that ``function`` returns for a sequence of parts. Where it raises, it is called for each half of the parts,
+    and so on. For a single part at which it raises, ``instead`` is called with the part and the traceback.
 
-    The result for a part must not depend on the others. An :class:`InputError` is raised, as the user can correct it.
+    The result for a part must not depend on the others. Errors are raised outside :meth:`Failures.met`; an
+    :class:`InputError` always is, as the user can correct it.
     """
     try:
         return list(function(parts))
     except InputError:
         raise
     except Exception as error:
-        # compiled code makes another error of an interrupt
+        # compiled code turns an interrupt into another error
         if met() is None or not len(parts) or isinstance(error.__cause__, KeyboardInterrupt):
             raise
         trace = traceback.format_exc()

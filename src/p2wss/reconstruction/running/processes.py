@@ -1,4 +1,4 @@
-"""One function of many values in several processes, which share the memory of the first."""
+"""One function applied to many values by several processes, which share the memory of the first process."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import Scratch
 
-# numbers in a pipe, of 4 bytes each: a quarter of what one holds
+# most numbers in a pipe, of 4 bytes each: a quarter of what a pipe holds
 _MAX_PIPED = 4096
-# in place of the number of a value: what follows is an error
+# sent in place of the number of a value where an error follows
 _ERROR = -1
 
 
@@ -35,21 +35,25 @@ T = TypeVar("T")
 
 
 def can_fork() -> bool:
-    """Whether this process can have forks."""
+    """Whether this process can fork: not on all systems, and not in a daemon."""
     return "fork" in get_all_start_methods() and not current_process().daemon
 
 
 class Shared(Generic[S, T]):
-    """``function`` of each value, by forks of this process: all but one of ``num_processes`` from now on, the last
-    while this one waits, as it iterates over the results. Each takes the next value, or few values, that none has
-    taken. With no process, and where none can be forked, this one does all.
+    """``function`` of each value, computed by forks of this process. All forks but one start now; the last one starts
+    with the iteration over the results, when this process only waits. Each fork takes the next value, or the next few
+    values, that no fork has taken. With ``num_processes`` 0, or where forking fails, this process computes all.
 
-    The iteration is for once, and gives the numbers of values and their results in the order in which they are done.
-    Forks have all that this process has in memory, but lack the threads of torch. An error of the function is raised
-    here, too. A fork may be killed, by the system or by an error of compiled code: what it had finished is kept, and
-    what it had in hand is tried by a new one, alone. If that is killed, too, a third one gives what the first of
-    ``instead`` makes of the value and of how the fork ended, and so on; the last of them is called by this process.
-    Without ``instead``, that is a ChildProcessError. folder: of a temporary file with the results of each fork.
+    It can be iterated once, and yields (number of the value, result) in the order in which they are done. Forks have
+    all that this process has in memory, but lack the threads of torch. Without ``instead``, an error of the function in
+    a fork is raised here.
+
+    A fork may be killed by the system or by an error of compiled code. What it had finished is kept, and each value it
+    had in hand is tried once more by a fork of its own. If that fails, a further fork calls the first function of
+    ``instead`` with the value and with how the fork had ended, and so on; the last of ``instead`` is called by this
+    process. Without ``instead``, a ChildProcessError is raised. With ``instead``, an error of the function in a fork
+    counts as a killed fork, unless it is an :class:`InputError`. folder: for a temporary file with the results of each
+    fork.
     """
 
     def __init__(
@@ -62,7 +66,7 @@ class Shared(Generic[S, T]):
     ) -> None:
         self._function, self._values, self._instead = function, values, instead
         self._folder = folder or Path(tempfile.gettempdir())
-        # a pipe gives each of its numbers to one reader, whichever comes first, and holds all of them before that
+        # the pipe is a queue: it holds all numbers from the start, and gives each to the first process that reads
         self._numbers, source = os.pipe()
         self._step = len(values) // _MAX_PIPED + 1
         os.write(source, np.arange(0, len(values), self._step, dtype="<u4").tobytes())
@@ -86,7 +90,7 @@ class Shared(Generic[S, T]):
             yield number, self._alone(number)
 
     def _start(self) -> None:
-        # without memory for a fork, this process does what is left
+        # if there is no memory for a fork, this process does what is left
         with suppress(OSError):
             fork = _Fork(self._own(), self._folder)
             self._forks[fork.receiver] = fork
@@ -94,7 +98,7 @@ class Shared(Generic[S, T]):
     def _of_forks(self) -> Iterator[tuple[int, T]]:
         if self._num_processes:
             self._start()
-        # those that are killed before they take a value are not replaced for ever
+        # a limit, as otherwise forks that are killed before they take a value would be replaced for ever
         num_more = len(self._values)
         while self._forks:
             for fork in [self._forks[receiver] for receiver in wait(self._forks)]:  # type: ignore[index]
@@ -110,7 +114,7 @@ class Shared(Generic[S, T]):
                     self._start()
 
     def _own(self) -> Iterator[tuple[int, T]]:
-        """The numbers of the values that this process takes, and their results."""
+        """Take values that no process has taken until none is left; yield their numbers and results."""
         for content in iter(partial(os.read, self._numbers, 4), b""):
             first = int.from_bytes(content, "little")
             for number in range(first, min(first + self._step, len(self._values))):
@@ -138,17 +142,17 @@ class Shared(Generic[S, T]):
 
 
 class _Fork(Generic[T]):
-    """A fork of this process that iterates over ``results``, pairs of a number and a value, and writes each value into
-    a file, where it stays whatever happens to the fork.
+    """A fork of this process that iterates over ``results``, pairs of a number and a value. It writes each value into a
+    file, where the value stays whatever happens to the fork.
 
-    ending: how it ended before its last result; empty before, and if it did not. error: what it raised, if it did.
+    ending: how the fork ended too early; empty while it runs, and if it completed. error: what it raised, or None.
     """
 
     def __init__(self, results: Iterable[tuple[int, T]], folder: Path) -> None:
         self.ending, self.is_running = "", True
         self.error: Exception | None = None
         self._scratch = Scratch(folder, "results")
-        # where compiled code ends
+        # faulthandler writes here where compiled code crashed
         self._stack = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
         self._parent = os.getpid()
         context = get_context("fork")
@@ -159,7 +163,7 @@ class _Fork(Generic[T]):
         sender.close()
 
     def received(self) -> list[tuple[int, T]]:
-        """The next result; none at the end."""
+        """A list of the next result; empty at the end."""
         message: tuple[int, int, int] | None = None
         try:
             message = self.receiver.recv()
@@ -192,10 +196,10 @@ class _Fork(Generic[T]):
     def _send(self, results: Iterable[tuple[int, Any]], sender: Connection) -> None:
         self.receiver.close()
         faulthandler.enable(self._stack, all_threads=False)
-        # searching what it has in common with the first process would copy that; of its own, hardly anything is garbage
+        # a search for garbage would copy the memory that the fork shares; its own objects are hardly ever garbage
         gc.freeze()
         gc.set_threshold(50_000)
-        # without a reader, the pipe of a process that was killed is broken, and this one ends
+        # if the first process was killed, its pipe is broken, and this one ends
         with suppress(KeyboardInterrupt, BrokenPipeError):
             try:
                 for number, value in results:

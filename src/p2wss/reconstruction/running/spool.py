@@ -9,8 +9,8 @@ from typing import Any, Generic, TypeVar
 
 from p2wss.storage.temporary import Closeable, Scratch
 
-# values that stay in memory, about 25 KiB each: the first, as those of a large run are read in their order again and
-# again
+# the first values stay in memory, about 25 KiB each; a cache of the last ones would not help a large run, which reads
+# all of them in order again and again
 _NUM_KEPT = 4096
 T = TypeVar("T")
 S = TypeVar("S")
@@ -31,10 +31,11 @@ class Lazy(Sequence[T], Generic[S, T]):
 
 
 class Spool(Lazy[int, T], Closeable):
-    """``count`` values, the first in memory, others in a :class:`~p2wss.storage.temporary.Scratch` file of ``folder``.
+    """``count`` values, the first set ones in memory, the others in a :class:`~p2wss.storage.temporary.Scratch` file in
+    ``folder``.
 
-    A value may be replaced; its place in the file is then not used again. Reading one that was not set is a KeyError.
-    Several accesses may return the same object: it is not for changes.
+    A value may be replaced; its place in the file is then not used again. Reading a value that was not set raises a
+    KeyError. Do not change a value in place: other accesses may return the same object.
     """
 
     def __init__(self, count: int, folder: Path) -> None:

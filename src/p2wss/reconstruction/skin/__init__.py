@@ -1,7 +1,7 @@
 """One closed skin for each block of buildings that touch: party walls vanish where there are buildings on both sides.
 
-Walls that face each other cancel out along their line; everything else keeps its points, in float64.
-So the skin has no gap and no sliver that the buildings do not have, and every face keeps its building and kind.
+Where walls face each other, they cancel out; everything else keeps its points, in float64. So the skin has no gap and
+no sliver that the buildings do not have, and every face keeps its building and kind.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ __all__ = ["Skin", "skins"]
 class Skin:
     """A closed surface around one building, or around several that touch.
 
-    building_ids: of the buildings, sorted. mesh: in the coordinates of theirs; every edge has exactly two triangles and
-    every vertex one fan of them; every face has a label of its own. building: int32 (t,), index into ``building_ids``.
-    failure: why the buildings could not be joined, if this is a single building that touches others.
+    building_ids: sorted. mesh: in the coordinates of the buildings' meshes. Every edge has exactly two triangles, every
+    vertex one fan of triangles, and every face its own label. building: int32 (t,), the building of each triangle, an
+    index into ``building_ids``. failure: if this is a single building that touches others, why they could not be
+    joined, else None.
     """
 
     building_ids: tuple[str, ...]
@@ -50,8 +51,8 @@ def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) ->
     solids: closed meshes by the ids of the buildings, with vertical walls and one roof height at every place.
     max_lowering_m: floors of touching buildings are lowered by at most this to be level.
 
-    A block whose walls do not fit each other stays in separate skins with their ``failure``, and so does one at which
-    the code fails, where errors are met: a skin is always closed.
+    A skin is always closed: if the walls of a block do not fit each other, each of its buildings gets a skin of its own
+    with a ``failure``. The same holds, where errors are met, for a block at which the code fails.
     """
     if not solids:
         return []
@@ -75,7 +76,7 @@ def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) ->
 
 
 def unjoined(solids: Mapping[str, Mesh]) -> list[Skin]:
-    """A skin for each building, which is its mesh, after an internal error."""
+    """After an internal error: each building's mesh as a skin of its own."""
     return [
         Skin((name,), mesh, np.zeros(len(mesh.triangle), np.int32), "internal error")
         for name, mesh in solids.items()
@@ -83,7 +84,7 @@ def unjoined(solids: Mapping[str, Mesh]) -> list[Skin]:
 
 
 def _joined(solids: Mapping[str, Mesh], origin: np.ndarray) -> list[Skin]:
-    """The skin around solids that touch, or one around each."""
+    """One skin around solids that touch; if they cannot be joined, one skin around each, with the failure."""
     failure = None
     if len(solids) > 1:
         try:

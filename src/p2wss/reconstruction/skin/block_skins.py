@@ -25,12 +25,12 @@ _MERGED_M = 1e-4
 
 
 def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
-    """The skins without what is below the terrain, and the terrain with a hole below each: the surface of the union of
-    all, which the library manifold3d computes. Roofs that are partly below the terrain end there, too.
+    """(the skins without their parts below the terrain, the terrain with a hole below each skin): together the surface
+    of the union of all, which the library manifold3d computes. Roofs that reach below the terrain end there, too.
 
-    The lower edges of the walls are edges of the terrain, with bit-identical vertices. A skin that could not be
-    joined stays a solid, and so does the terrain around it; one that is below the terrain has no triangle left.
-    skin_list: skins whose floors are below the terrain. terrain: a closed block.
+    The lower edges of the walls are edges of the terrain, with bit-identical vertices. A skin that could not be joined
+    stays a whole solid, and the terrain has no hole below it. A skin that is all below the terrain has no triangle
+    left. skin_list: skins whose floors are below the terrain. terrain: a closed block.
     """
     origin = np.floor(terrain.vertex_m.min(axis=0))
     number = [k for k, skin in enumerate(skin_list) if skin.failure is None]
@@ -45,7 +45,7 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     union = whole.simplify(_MERGED_M).to_mesh64()
     vertex_m = np.asarray(union.vert_properties)[:, :3] + origin
     triangle = np.asarray(union.tri_verts).astype(np.int32)
-    # each run of triangles is of one of the meshes, each triangle of one of its faces
+    # a run of triangles comes from one of the meshes, and each of its triangles from a face of this mesh
     runs = np.diff(np.asarray(union.run_index)) // 3
     of_mesh = np.repeat(np.asarray(union.run_original_id) - first_id, runs)
     of_face = np.asarray(union.face_id).astype(np.int64)
@@ -63,7 +63,8 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
 
 
 def _solid(mesh: Mesh, face: np.ndarray, number: int) -> manifold3d.Manifold:
-    """A closed mesh for the library, which tells later by this number which triangles are of which face."""
+    """A closed mesh for the library. In the result of the library, ``number`` and ``face`` identify the face of each
+    triangle."""
     return manifold3d.Manifold(
         manifold3d.Mesh64(
             np.ascontiguousarray(mesh.vertex_m),
@@ -76,8 +77,8 @@ def _solid(mesh: Mesh, face: np.ndarray, number: int) -> manifold3d.Manifold:
 
 
 def joined(buildings: Sequence[Body], max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
-    """The skins around ``buildings``, one each, with a warning for those that stay apart; the others as in
-    :func:`p2wss.reconstruction.skin.skins`."""
+    """The skins of :func:`p2wss.reconstruction.skin.skins` around ``buildings``, with a warning for buildings that stay
+    apart."""
     solids = {body.name: body.mesh for body in buildings}
 
     def none(solids: dict[str, Mesh], trace: str) -> list[Skin]:
@@ -97,8 +98,8 @@ def joined(buildings: Sequence[Body], max_lowering_m: float = MAX_LOWERING_M) ->
 
 
 def on_terrain(skin_list: Sequence[Skin], terrain: Body) -> tuple[list[Skin], Body]:
-    """The skins down to the terrain, and the terrain outside them, with a warning for those that stay solids in it and
-    for those that are left out, as they are below it."""
+    """(the skins down to the terrain, the terrain outside them). A warning says how many skins stay whole solids that
+    reach into the terrain, and how many are left out because they are below it."""
     standing, mesh = cut(skin_list, terrain.mesh)
     whole = sum((skin.mesh.kind == FaceKind.GROUND).any() for skin in standing)
     if whole:
@@ -110,7 +111,7 @@ def on_terrain(skin_list: Sequence[Skin], terrain: Body) -> tuple[list[Skin], Bo
 
 
 def skin_bodies(skin_list: Sequence[Skin], buildings: Sequence[Body]) -> list[Body]:
-    """A body per skin, named after its building or, as a block, after the first of its buildings."""
+    """A body per skin, named after its building; a skin of several is named ``block_`` and their first id."""
     references = {body.name: body.buildings[0] for body in buildings}
     return [
         Body(
@@ -124,7 +125,7 @@ def skin_bodies(skin_list: Sequence[Skin], buildings: Sequence[Body]) -> list[Bo
 
 
 def counts(skin_list: Sequence[Skin]) -> dict[str, int]:
-    """Numbers of blocks, of the buildings in them, of buildings that could not be joined with those they touch, and of
+    """How many blocks there are, buildings in them, buildings that could not be joined with touching buildings, and
     skins that end on the terrain."""
     blocks = [skin for skin in skin_list if len(skin.building_ids) > 1]
     return {

@@ -1,5 +1,5 @@
-"""Roofs and fronts of neighbours that differ by centimetres at their common wall: where they are one plane but for
-noise, they become one, and others move as planes until they meet there."""
+"""Roofs and fronts of neighbours that differ by centimetres at their common wall. Planes that are the same but for
+noise become one plane. Other planes move as a whole until they meet at the wall."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from p2wss.reconstruction.skin.solids import faces_of, opposite_walls
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
-# steps between neighbours lower than this are none, as heights are often stated in tenths of a metre, and no vertex
-# leaves a plane at it by more
+# lower steps between neighbours are removed, as heights are often stated in tenths of a metre; no vertex moves further
+# out of a plane
 MAX_STEP_M = 0.12
-# planes do not meet if they are further than this from their point
+# planes do not meet if one of them is further than this from their common point
 _APART_M = 2e-4
-# planes of neighbours are one if they are turned by less, and none of their vertices is off one plane by a step
+# planes of neighbours may be one if the angle between them is less, and if no vertex is off the common plane by a step
 _ONE_COSINE = np.cos(np.radians(3.0))
 
 
 @dataclass(frozen=True)
 class _Step:
-    """What is a little apart at a common wall: vertices or planes of two neighbours that become one, or a vertex and
-    the plane that then goes through it.
+    """A small step at a common wall: two vertices or two planes that become one, or a vertex and a plane that is moved
+    to go through it.
 
-    gap_m: between them. vertices, planes: of the mesh of all. buildings: of both.
+    gap_m: the distance between both. vertices, planes: indices in the mesh of all solids. buildings: of both sides.
     """
 
     gap_m: float
@@ -40,13 +40,13 @@ class _Step:
 
 
 def with_common_roofs(solids: Sequence[Mesh]) -> list[Mesh]:
-    """Solids that touch, without those low steps (:data:`MAX_STEP_M`) between their roofs, and between their inner
-    walls, that vanish if planes move so that they meet at the common wall. Roofs, and walls, of neighbours that are one
-    plane but for centimetres are one afterwards.
+    """Touching solids without low steps (below :data:`MAX_STEP_M`) between their roofs, and between their inner walls.
+    Planes are moved so that they meet at the common wall. Roofs, and walls, of neighbours that are one plane but for
+    centimetres become one plane.
 
-    Only planes move: roofs stay planar, walls upright, and outer walls and floors where they are unless two walls
-    become one. Steps stay, the highest first, where a vertex would leave a plane by more than :data:`MAX_STEP_M` or a
-    triangle turn over.
+    Only whole planes move: roofs stay planar, and walls upright. Outer walls and floors stay in place, unless two walls
+    become one. Where a vertex would leave a plane by more than :data:`MAX_STEP_M`, or a triangle would turn over, steps
+    are left as they are, the highest first, until all is well.
     """
     mesh = Mesh.joined(solids)
     building = np.repeat(np.arange(len(solids)), [len(solid.vertex_m) for solid in solids])
@@ -62,7 +62,8 @@ def with_common_roofs(solids: Sequence[Mesh]) -> list[Mesh]:
         whole = replace(mesh, label=one_plane[mesh.number])
         moved, apart_m = with_meeting_planes(whole, groups(len(building), _pairs(linked)), through)
         is_bad = apart_m > _APART_M
-        # along a plane a vertex may move further, as where roofs of nearly the same slope meet
+        # only the movement out of a plane is limited: where roofs of nearly the same slope meet, a vertex may move far
+        # along them
         off_m = ((moved.vertex_m - mesh.vertex_m)[vertex_at] * mesh.planes.normal[plane_at]).sum(axis=1)
         is_bad[vertex_at[np.abs(off_m) > MAX_STEP_M]] = True
         is_bad[mesh.triangle[turned_over(moved, mesh)]] = True
@@ -86,11 +87,11 @@ def with_common_roofs(solids: Sequence[Mesh]) -> list[Mesh]:
 
 
 def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray) -> list[_Step]:
-    """The steps of less than :data:`MAX_STEP_M` between solids that touch, and their planes that are one. mesh: all of
-    them. building: of its vertices."""
+    """The steps of less than :data:`MAX_STEP_M` between touching solids, and the pairs of their planes that are one.
+    mesh: all solids. building: the solid of each vertex."""
     planes = mesh.planes
     point, faces = faces_of(solids)
-    # floors and the walls on them stay
+    # floors, and the walls that stand on them, stay
     on_floor, on_moving = np.zeros((2, len(mesh.vertex_m)), bool)
     on_floor[mesh.triangle[mesh.kind == FaceKind.GROUND]] = True
     moves = np.ones(len(planes.kind), bool)
@@ -100,7 +101,7 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray) -> list[_St
     ends = np.column_stack([mesh.triangle.ravel(), mesh.triangle[:, NEXT].ravel()]).tolist()
     beyond = dict(zip(map(tuple, ends), np.repeat(mesh.number, 3).tolist(), strict=True))
     pairs = opposite_walls(point, faces).tolist()
-    # of each wall, the half-edges of the faces beside it
+    # for each wall, the half-edges of the faces beside it
     across = {
         wall: [(b, a) for ring in faces[wall].rings for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
         for pair in pairs
@@ -142,26 +143,26 @@ def _steps(mesh: Mesh, solids: Sequence[Mesh], building: np.ndarray) -> list[_St
 
 
 def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -> list[_Step]:
-    """The planes of neighbours that are one but for centimetres: no vertex is further than a step from the plane
-    of all. beside: the buildings of pairs of planes at common walls."""
+    """Pairs of planes of neighbours that are one plane but for centimetres: no vertex of the planes that become one is
+    further than a step from their common plane. beside: pairs of planes at common walls, and the buildings of each."""
     planes, (vertex, plane) = mesh.planes, mesh.at
     order = np.argsort(plane, kind="stable")
     point_m = dict(enumerate(np.split(mesh.vertex_m[vertex[order]], np.cumsum(np.bincount(plane))[:-1])))
 
     def off_plane_m(point_m: np.ndarray, kind: int) -> float:
-        """How far the furthest place (m, 3) is from the plane through all, an upright one of walls."""
+        """The largest distance of points (m, 3) from the plane fitted to all, which is upright for walls."""
         away_m = (point_m - point_m.mean(axis=0))[:, : 2 if kind == FaceKind.WALL else 3]
         return float(np.abs(away_m @ np.linalg.eigh(away_m.T @ away_m)[1][:, 0]).max())
 
     candidates = []
     for (one, other), buildings in beside.items():
         kind = planes.kind[one]
-        # steps between level roofs move these as a whole
+        # level roofs are among these: they move as a whole
         is_alike = kind == planes.kind[other] and kind in (FaceKind.ROOF, FaceKind.WALL)
         if is_alike and planes.normal[one] @ planes.normal[other] > _ONE_COSINE:
             gap_m = off_plane_m(np.concatenate([point_m[one], point_m[other]]), kind)
             candidates.append(_Step(gap_m, (), (one, other), buildings))
-    # of a long row, only as many as all together are one
+    # in a long row, planes are added to a group only while all of the group together are one plane
     result, first = [], {number: number for number in point_m}
     for step in sorted(candidates, key=lambda step: (step.gap_m, step.planes)):
         one, other = (_root(first, each) for each in step.planes)
@@ -174,7 +175,7 @@ def _one_planes(mesh: Mesh, beside: Mapping[tuple[int, int], tuple[int, int]]) -
 
 
 def _root(first: dict[int, int], number: int) -> int:
-    """The one that stands for all planes that are one with a plane."""
+    """The plane that represents the group of a plane."""
     while first[number] != number:
         first[number] = number = first[first[number]]
     return number

@@ -1,8 +1,9 @@
-"""Party walls, cancelled along their lines: what is left of walls that face each other is between their profiles.
+"""Party walls, cancelled along their lines: only what one of two facing walls has alone is left.
 
-Walls are upright, so a wall is what is between its lower and its upper profile. At every place of the line at which a
-profile has a corner or crosses another, each gets a point, and points that are hardly apart there become one. Between
-two such places profiles are straight and in one order, from below, and each begins or ends a wall on one of the sides.
+Walls are upright, so a wall is the area between its lower and its upper profile. At every place along the line where a
+profile has a corner or crosses another profile, every profile gets a point, and points that are hardly apart are
+merged. Between two such places (a strip), profiles are straight and do not cross. Taken from below, each profile begins
+or ends a wall on one of the two sides.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from p2wss.reconstruction.skin.solids import TOLERANCE_M, Face, area_vectors, op
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import differs, distinct, next_in_ring, numbered
 
-# in each, one crossing between any two places goes
+# each round resolves one crossing between any two places
 _MAX_ROUNDS = 12
-# corners over one place of the plan that are no further apart in height are one: of two that are nearer, the upper one
-# would be on a roof's edge that rises from the lower one, which would then begin upright
+# corners over one place of the plan are merged if they are no further apart in height. Else the upper one could be put
+# on a roof's edge that rises from the lower one, and the edge would begin upright
 _LEVEL_M = 1e-2
-# edges over one place, or an edge and a corner, meet there if they are no further apart in height
+# two edges, or an edge and a corner, meet over one place if they are no further apart in height
 _MEET_M = 5e-3
 
 
@@ -33,10 +34,10 @@ class NotJoined(Exception):
 
 
 def without_party_walls(point: np.ndarray, faces: Sequence[Face]) -> tuple[np.ndarray, list[Face]]:
-    """(points, faces) of solids that touch, without what is common to walls of theirs that face each other. What was
-    closed stays closed. The faces given are used up.
+    """(points, faces) of touching solids without the common parts of walls that face each other. A closed surface stays
+    closed. The faces given are changed in place.
 
-    Raises :class:`NotJoined` where two walls of one side overlap.
+    Raises :class:`NotJoined` where two walls of one side overlap, or if edges cross too often.
     """
     profiles = _Profiles(point, faces, opposite_walls(point, faces))
     for _ in range(_MAX_ROUNDS):
@@ -49,12 +50,12 @@ def without_party_walls(point: np.ndarray, faces: Sequence[Face]) -> tuple[np.nd
 class _Profiles:
     """The edges of walls that face each other, and where they are along the lines of these walls.
 
-    point: (p, 3). column: int (p,), the number of the first of all points over the same place of the plan. line: of
-    each wall, its number; along: of each line, its direction, from left to right. stop: the columns in which edges end,
-    line after line and along each, and ``at_m`` how far along.
+    point: (p, 3). column: int (p,), the first of all points over the same place of the plan. line: the line of each
+    wall. along: the direction of each line, from left to right. stop: the columns in which edges end, sorted by line
+    and by place on it; at_m: the place of each stop along its line.
 
-    Of each edge that is not upright, in the order of stops, and then from below: wall, left and right (points), low
-    and high (stops), is_forward: whether it runs to the right around its wall.
+    Arrays of all edges that are not upright, sorted by stop and then from below: wall; left, right: the points at the
+    ends; low, high: the stops of the ends; is_forward: whether the edge runs to the right around its wall.
     """
 
     def __init__(self, point: np.ndarray, faces: Sequence[Face], pairs: np.ndarray) -> None:
@@ -96,7 +97,7 @@ class _Profiles:
         )
 
     def divide(self) -> None:
-        """Give every edge a point at each stop that it passes, and make one of all points that are hardly apart."""
+        """Give every edge a point at each stop that it passes, and merge points that are hardly apart."""
         num = self.high - self.low - 1
         edge = np.repeat(np.arange(len(num)), num)
         passed = np.arange(len(edge)) + (self.high - np.cumsum(num))[edge]
@@ -105,7 +106,7 @@ class _Profiles:
         self._insert(edge, new, _MEET_M)
 
     def cross(self) -> bool:
-        """Whether edges cross; then both have a point there, the first two of them between any two stops."""
+        """Whether edges cross. If so, the two edges of the lowest crossing between any two stops get a common point."""
         over, under = np.diff(self.point[self.left, 2]), -np.diff(self.point[self.right, 2])
         found = np.flatnonzero(~differs(self.low)[1:] & (over > 0) & (under > 0))
         found = found[np.unique(self.low[found], return_index=True)[1]]
@@ -115,7 +116,7 @@ class _Profiles:
         return bool(len(found))
 
     def _add(self, edge: np.ndarray, share: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """The numbers of new points on edges, at a share of the way from the left, in columns."""
+        """Add points on edges, and return their numbers. share: of the way from left to right. column: of each."""
         number = np.arange(len(self.point), len(self.point) + len(edge))
         left, right = self.point[self.left[edge]], self.point[self.right[edge]]
         self.point = np.concatenate([self.point, left + share[:, None] * (right - left)])
@@ -124,13 +125,13 @@ class _Profiles:
         return number
 
     def _insert(self, edge: np.ndarray, vertex: np.ndarray, apart_m: float) -> None:
-        """Give edges these points, those of one from the left, and make one of all points of a column of which none is
-        further above the one below it."""
+        """Insert points into edges, then merge the points of a column that are at most ``apart_m`` above the next lower
+        point. edge, vertex: pairs, in which the points of an edge are in the order from left to right."""
         number = np.concatenate([self.used, vertex])
         number = number[np.lexsort([self.point[number, 2], self.column[number]])]
         is_apart = differs(self.column[number])
         is_apart[1:] |= np.diff(self.point[number, 2]) > apart_m
-        # the first stands for all
+        # the first point replaces all that are merged
         first, same = np.flatnonzero(is_apart), np.arange(len(self.point))
         same[number] = np.repeat(np.minimum.reduceat(number, first), np.diff([*first, len(number)]))
         between: dict[tuple[int, int], dict[int, None]] = {}
@@ -159,7 +160,7 @@ class _Profiles:
         position, column = {vertex: k for k, vertex in enumerate(used)}, self.column.tolist()
 
         def side(a: int, b: int) -> list[int]:
-            """The points from one to another, upright or not, without the last."""
+            """The points from ``a`` to before ``b``: along an upright side, all points of the column between them."""
             if column[a] != column[b]:
                 return [a]
             i, j = position[a], position[b]
@@ -182,7 +183,7 @@ class _Profiles:
 
 
 def _fill(face: Face, side: Callable[[int, int], list[int]]) -> None:
-    """Replace the sides of a face by the points that ``side`` gives for their ends, without the last."""
+    """Replace each side of a face by the points that ``side`` returns for its two ends; the last end is left out."""
     rings = [[v for a, b in _edges(ring) for v in side(a, b)] for ring in face.rings]
     if rings != face.rings:
         face.rings, face.triangles = [ring for ring in map(tidy, rings) if ring], None
@@ -193,7 +194,8 @@ def _edges(ring: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def _without_straight(faces: list[Face], num_given: int) -> list[Face]:
-    """The faces without those points that were not given and in which two edges end alone."""
+    """The faces without added points, numbers from ``num_given`` on, at which only two edges end: they lie within a
+    straight edge."""
     edges = {(min(edge), max(edge)) for face in faces for ring in face.rings for edge in _edges(ring)}
     is_within = np.bincount(np.array([*edges]).ravel()) == 2
     is_within[:num_given] = False

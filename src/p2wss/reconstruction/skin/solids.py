@@ -1,4 +1,4 @@
-"""The solids that a skin is made from, as polygons over one list of points, and which of their walls touch."""
+"""The solids from which a skin is made, as polygons over one list of points; their common floors and touching walls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import shapely
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind, next_in_ring
 
-# points this near, and points this near to a wall's line, are one place
+# points this near to each other are one place; a point this near to a wall's line is on it
 TOLERANCE_M = 2e-3
 # floors of touching buildings are lowered by at most this to be level with each other
 MAX_LOWERING_M = 0.5
@@ -23,8 +23,8 @@ _OPPOSITE = -0.999
 class Face:
     """A planar polygon of a building.
 
-    building: number of its mesh. rings: numbers of points, the exterior first, counter-clockwise seen from outside.
-    triangles: int (t, 3), of points; None where the rings have changed since.
+    building: index of its mesh. rings: indices of points, the exterior first, counter-clockwise seen from outside.
+    triangles: int (t, 3), indices of points; None after the rings have changed.
     """
 
     building: int
@@ -34,7 +34,7 @@ class Face:
 
 
 def faces_of(meshes: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
-    """All points, float64 (p, 3), and all faces; each mesh has points of its own."""
+    """(the points of all meshes, float64 (p, 3); all faces). Meshes share no points."""
     faces: list[Face] = []
     first = 0
     for number, mesh in enumerate(meshes):
@@ -50,10 +50,10 @@ def faces_of(meshes: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
 def on_common_floors(
     solids: Mapping[str, Mesh], pairs: np.ndarray, max_lowering_m: float = MAX_LOWERING_M
 ) -> dict[str, Mesh]:
-    """The solids, by their names, with their floors lowered to those of the solids that they touch.
+    """The solids, by their names, with their floors lowered to the floors of touching solids.
 
-    pairs: int (n, 2), solids that touch. Floors are joined, those of the smallest difference first, while no floor of a
-    set is more than ``max_lowering_m`` above another.
+    pairs: int (n, 2), solids that touch. Pairs are joined to sets with a common floor, the smallest height difference
+    first, as long as no floor of a set is more than ``max_lowering_m`` above another.
     """
     names, meshes = list(solids), list(solids.values())
     floors = [np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND]) for mesh in meshes]
@@ -83,7 +83,7 @@ def on_common_floors(
 
 
 def area_vectors(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
-    """(f, 3), the vectors along the outward normals of faces, with the lengths of their areas (Newell)."""
+    """float64 (f, 3): vectors along the outward normals of faces, as long as their areas are large (Newell)."""
     rings = [ring for face in faces for ring in face.rings]
     ring_offset = np.cumsum([0, *map(len, rings)])
     first = ring_offset[:-1]
@@ -96,7 +96,7 @@ def area_vectors(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
 
 
 def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
-    """Pairs of walls of two buildings, int (n, 2) of faces, that face each other along a common stretch of a line."""
+    """int (n, 2): pairs of faces, walls of two buildings that face each other along a common stretch of a line."""
     wall = np.array([number for number, face in enumerate(faces) if face.kind == FaceKind.WALL], int)
     if not len(wall):
         return np.zeros((0, 2), int)
@@ -108,7 +108,7 @@ def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     exterior = [faces[number].rings[0] for number in wall]
     owner, plan = np.repeat(np.arange(len(wall)), [*map(len, exterior)]), point[np.concatenate(exterior), :2]
     along = plan[:, 1] * normal[owner, 0] - plan[:, 0] * normal[owner, 1]
-    # the first of the least and of the greatest
+    # the corners at the two ends of each wall
     ends = [
         np.lexsort((each, owner))[np.searchsorted(owner, np.arange(len(wall)))] for each in (along, -along)
     ]

@@ -19,20 +19,20 @@ from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 
 NAME = "terrain"
-# the block reaches this far below the lowest ground, a building this far below the lowest terrain under it, or further
-# where the tolerance of the triangles is more
+# the block reaches at least this far below the lowest ground, a building this far below the lowest terrain under it;
+# both reach further if the tolerance of the triangles is large
 _BELOW_M, _FOOT_M = 2.0, 0.5
-# of larger windows only every k-th cell is used; 1 km at 0.5 m is used whole
+# windows of more cells are thinned to every k-th row and column; 1 km2 at 0.5 m is used whole
 _MAX_CELLS = 4_000_000
 
 
 def block(window: Terrain, tolerance_m: float, lowest_m: float = np.inf) -> Body:
     """A closed solid over the centres of the cells of a :func:`window`.
 
-    The top is a Delaunay triangulation, to which cells are added as vertices until no cell is further than
-    ``tolerance_m`` above or below it (greedy insertion, Garland and Heckbert 1995, section 4, the worst cell of
-    every triangle in each round). The sides are vertical; the bottom is level, below all ground and ``lowest_m``.
-    The attribute ``spacing_m`` is how far cells are apart.
+    The top is a Delaunay triangulation. Cells are added as vertices until no cell is further than ``tolerance_m`` above
+    or below it: in each round, the worst cell of every triangle (greedy insertion, Garland and Heckbert 1995,
+    section 4). The sides are vertical. The bottom is level, below all ground and ``lowest_m``. The attribute
+    ``spacing_m`` is the size of a cell.
     """
     height_m, spacing_m = window.height_m, window.cell_m
     rows, columns = height_m.shape
@@ -57,10 +57,10 @@ def block(window: Terrain, tolerance_m: float, lowest_m: float = np.inf) -> Body
 
 
 def lowered_into(bodies: Sequence[Body], window: Terrain, tolerance_m: float) -> list[Body]:
-    """The buildings with their ground faces lowered below the lowest terrain under each, walls extended.
+    """The buildings with ground faces lowered below the lowest terrain under each building, and walls extended.
 
     So there is no gap between a level ground face and sloping terrain through which a ray could enter the building.
-    window, tolerance_m: of :func:`block`, which may be so far below the terrain.
+    window, tolerance_m: as for :func:`block`, whose top may be up to ``tolerance_m`` below the terrain.
     """
     result = []
     for body in bodies:
@@ -76,8 +76,8 @@ def lowered_into(bodies: Sequence[Body], window: Terrain, tolerance_m: float) ->
 
 @entry
 def _worst_cells(height_m: np.ndarray, corner: np.ndarray, tolerance_m: float) -> np.ndarray:
-    """For each triangle, int (t, 3, 2) of columns and rows, clockwise on the grid, the cell (row * columns +
-    column) whose height is furthest from it, -1 if none is further than ``tolerance_m``."""
+    """int64 (t,): the cell (row * columns + column) whose height is furthest from each triangle; -1 if no cell is
+    further than ``tolerance_m``. corner: int (t, 3, 2), column and row of the corners, clockwise on the grid."""
     result = np.full(len(corner), -1, np.int64)
     for t in range(len(corner)):
         ax, ay = corner[t, 0, 0], corner[t, 0, 1]
@@ -133,7 +133,7 @@ def window(terrain: Terrain, bounds: Bounds) -> Terrain:
     if not has_data.all():
         nearest = scipy.ndimage.distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
-    # of the corner of the larger cells around the same centres
+    # the corner of larger cells around the same centres
     west, north = left + (1 - step) / 2, first + (1 - step) / 2
     return Terrain(height, terrain.x_min_m + west * cell, terrain.y_max_m - north * cell, step * cell)
 

@@ -1,4 +1,4 @@
-"""Triangles of a skin's faces, and an index of its own for every sheet of surface that meets in a point."""
+"""The triangles of a skin's faces; where several sheets of surface meet in a point, each sheet gets its own vertex."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _AREA_M2 = 1e-3
 
 
 def triangulated(point: np.ndarray, faces: Sequence[Face]) -> Mesh:
-    """The mesh of faces, labelled by their numbers.
+    """The mesh of faces; the label of a triangle is the index of its face.
 
-    Faces without triangles get those of a constrained Delaunay triangulation, with every point of the rings as a
-    corner. Raises :class:`NotJoined` if a face is no polygon.
+    Faces without triangles are triangulated (constrained Delaunay), with every point of the rings as a corner. Raises
+    :class:`NotJoined` if a face is no polygon.
     """
     pending = [face for face in faces if face.triangles is None]
     if pending:
@@ -45,8 +45,9 @@ def triangulated(point: np.ndarray, faces: Sequence[Face]) -> Mesh:
 def sheets(mesh: Mesh) -> Mesh:
     """A closed surface in which every edge has two triangles and every point is surrounded by one fan of triangles.
 
-    Where two bodies meet in an edge or a point only, each gets points of its own there, at the same place. An edge at
-    both of whose ends they are joined gets one within. Raises :class:`NotJoined` if the surface is not closed.
+    Where two bodies meet only in an edge or a point, each gets its own vertices there, at the same place. If they are
+    joined at both ends of such an edge, the edge is divided in its middle. Raises :class:`NotJoined` if the surface is
+    not closed.
     """
     point, triangle, repeated = _fans(mesh.vertex_m, mesh.triangle.astype(np.int64))
     if len(repeated):
@@ -74,7 +75,8 @@ def _with_middle(mesh: Mesh, start: int, end: int) -> Mesh:
 
 
 def _fans(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(points, triangles, edges (n, 2) of the given points that more than two of these triangles have)."""
+    """(points, one for each fan of triangles; triangles; edges (n, 2) by given points, which more than two of the new
+    triangles share)."""
     start, end = triangle.ravel(), triangle[:, NEXT].ravel()
     size = len(point)
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -109,7 +111,8 @@ def _fans(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _pair_around(point: np.ndarray, triangle: np.ndarray, halves: np.ndarray, twin: np.ndarray) -> None:
-    """Twins of the half-edges of one edge with four or more triangles: the two that bound the same piece of solid."""
+    """Store the twins of the half-edges of one edge with four or more triangles in ``twin``: two triangles that bound
+    the same piece of solid are twins there."""
     t, k = np.divmod(halves, 3)
     start, end = triangle[t, k], triangle[t, (k + 1) % 3]
     forward = start < end

@@ -10,7 +10,7 @@ from p2wss.mesh.topology import NEXT, unit_normals
 from p2wss.reconstruction.skin import Skin
 from p2wss.skeleton.angles import bearings
 
-# faces that turn by less are one surface
+# an edge at which the surface turns by less is no wedge
 _MIN_TURN_DEG = 1.0
 
 
@@ -18,9 +18,9 @@ _MIN_TURN_DEG = 1.0
 class Wedges:
     """Convex edges of one skin.
 
-    end_m: float64 (w, 2, 3). opening_angle_deg: (w,), the angle inside the buildings between the two faces, below 180.
-    face: int32 (w, 2), labels of the skin's faces, the left one first, seen from outside in the direction from the
-    first end to the second.
+    end_m: float64 (w, 2, 3), the two ends. opening_angle_deg: (w,), the angle between the two faces inside the
+    buildings, below 180. face: int32 (w, 2), the labels of these faces: first the left one, seen from outside when
+    looking from the first end to the second.
     """
 
     end_m: np.ndarray

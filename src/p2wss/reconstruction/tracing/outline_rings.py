@@ -1,8 +1,8 @@
 """Traced outlines of buildings, regularised to their main directions with few vertices, and fitted to the points.
 
-A ring is a cycle of lines, each with a direction and an offset along its normal. Lines of nearly one direction get it
-exactly; lines whose edge would be short go; parallel neighbours join. Then each line moves to where it best separates
-the points on roofs from those on the ground.
+A ring is a cycle of lines, each with a direction and an offset along its normal. Lines near a main direction are turned
+into it. Lines with a short edge are removed, and parallel neighbours joined. Then each line moves to where it best
+separates the points on roofs from the points on the ground.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from p2wss.fit.directions import turn_between
 
 @dataclass(frozen=True)
 class Rules:
-    """How traces become outlines; what each pays shows ``benchmarks/outlines.py``.
+    """How traces become outlines; ``benchmarks/outlines.py`` shows what each rule brings.
 
-    tolerance_cells: of Douglas-Peucker on a trace; the staircase of a raster is within 0.71 of its line. snap_deg:
-    edges at most this far from a main direction get it. near_deg: edges this near have one direction. min_share: of the
-    cubes of the lengths of edges, which a second main direction needs. rectangle_share: of the smallest rectangle
-    around its points, which a trace fills that has the directions of this rectangle. min_trace_vertices, max_turn_deg:
-    an edge with as many vertices of the trace has the direction of the line through them, unless that is this far from
-    its own. oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off.
-    cut_cells: edges at most this far from a side of the bounds of the cloud are where it cuts a building.
-    parallel_deg: lines whose directions differ by less are parallel. spike_deg: of a corner that no removal of a short
-    edge makes. reach_cells: of seams beyond the ends of their
-    traces, so that they meet the outline. grid_m: of all coordinates. least_length_m: that an edge counts with.
-    max_move_m, min_points: an edge moves by at most this, and not with fewer points on the roof near it. least_density:
-    in front of an edge, as a share of that of roofs. max_difference: of an outline from its trace, as a share of the
-    area.
+    tolerance_cells: of Douglas-Peucker on a trace; the staircase of a raster is within 0.71 cells of its line.
+    snap_deg: edges at most this far from a main direction are turned into it. near_deg: edges this near have one
+    direction. min_share: a second main direction needs this share of the sum of the cubed lengths of edges.
+    rectangle_share: a trace that fills this share of the smallest rectangle around its points has the directions of the
+    rectangle. min_trace_vertices, max_turn_deg: an edge with at least so many vertices of the trace gets the direction
+    of the line fitted to them, unless this turns it by more. oblique_share: an edge in no main direction counts with
+    this share of its length, as a raster cuts corners off by such edges. cut_cells: edges at most this far from a side
+    of the bounds of the cloud are where the cloud ends, not a wall. parallel_deg: lines whose directions differ by less
+    are parallel. spike_deg: no short edge is removed if that left a sharper corner. reach_cells: seams reach this far
+    beyond the ends of their traces, so that they meet the outline. grid_m: of all coordinates. least_length_m: an edge
+    counts with at least this length. max_move_m, min_points: an edge moves by at most this, and only with this many
+    points on roofs near it. least_density: density of points on the roof in front of an edge that lets it move out, as
+    a share of the density on roofs. max_difference: of an outline from its trace, as a share of the area of the trace.
     """
 
     tolerance_cells: float = 0.7
@@ -64,8 +64,8 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Points around a block. roof, ground: x and y, (n, 2). density: points on roofs per square metre. bounds: of the
-    cloud; edges along them are of no wall."""
+    """Points around a block. roof_m, ground_m: x and y, (n, 2). density: points on roofs per square metre. bounds: of
+    the cloud; an edge of a trace along them is no wall."""
 
     roof_m: np.ndarray
     ground_m: np.ndarray
@@ -93,12 +93,13 @@ class _Line:
 
 
 def directions(trace: shapely.Polygon, points: EdgePoints, cell_m: float) -> list[float]:
-    """The one or two main directions of a trace, in degrees: means of those of the lines through its edges, or that of
-    the smallest rectangle around its points on the roof. Where the border of the cloud cuts it, means with those of the
-    sides of the hull of these points, but for what is along the border, or across a corner without a wall.
+    """The one or two main directions of a trace, in degrees; each stands for itself and its perpendicular.
 
-    A direction stands for itself and its perpendicular. That of an edge is as accurate as the edge is long, and short
-    edges of a trace are along the raster; points are not.
+    If the trace fills the smallest rectangle around its points on the roof, it is the direction of the rectangle. Else
+    they are weighted means of the directions of the trace's edges. Where the border of the cloud cuts the building, the
+    sides of the convex hull of the points count, too, but edges and sides along the border do not, nor sides across a
+    corner without a wall. Long edges have more weight: their directions are more accurate, and short edges of a trace
+    follow the raster. Points do not follow the raster.
     """
     rings = [(_simple(ring, cell_m), np.asarray(ring.coords)) for ring in _rings(trace)]
     lines = [line for xy_m, traced_m in rings for line in _lines(xy_m, traced_m, [])]
@@ -137,8 +138,8 @@ def regularised(
 ) -> shapely.Polygon:
     """The outline with few vertices in the main directions, fitted to the points, valid, on a grid of millimetres.
 
-    A ring for which that fails, or that differs too much from the trace, is the regularised trace, or the simplified
-    one, instead.
+    If a fitted ring is not valid, or differs too much from the trace, the regularised trace takes its place, or if that
+    fails, too, the simplified trace. Courtyards that do not lie inside are left out.
     """
     rings: list[shapely.Polygon] = []
     for ring in _rings(trace):
@@ -191,7 +192,7 @@ def _seam(
 ) -> shapely.LineString | None:
     if line.length < settings.min_edge_m or line.is_ring:
         return line if line.is_ring else None
-    # twice the tolerance of an outline: a jump in height is not as sharp as an edge
+    # twice the tolerance of an outline, as a jump in height is not as sharp as an edge
     xy_m = np.asarray(shapely.simplify(line, 2 * RULES.tolerance_cells * cell_m).coords)
     lines = _lines(xy_m, np.asarray(line.coords), main_deg)
     reach_m = RULES.reach_cells * cell_m
@@ -200,19 +201,19 @@ def _seam(
     corners = [_corner(a, b) for a, b in itertools.pairwise(lines)]
     inner = [corner for corner in corners if corner is not None]
     seam = shapely.LineString([start - reach_m * first.direction, *inner, end + reach_m * last.direction])
-    # a corner far away means nearly parallel lines
+    # a seam much longer than its trace has a far corner, of nearly parallel lines
     return seam if seam.length <= 2 * line.length + 2 * reach_m else shapely.LineString(xy_m)
 
 
 def _rings(polygon: shapely.Polygon) -> list[shapely.LinearRing]:
-    """Exterior and courtyards, all counter-clockwise."""
+    """The exterior and the courtyards of a polygon, all counter-clockwise."""
     return [
         shapely.geometry.polygon.orient(shapely.Polygon(ring)).exterior for ring in shapely.get_rings(polygon)
     ]
 
 
 def _simple(ring: shapely.LinearRing, cell_m: float) -> np.ndarray:
-    """Douglas-Peucker on a ring, closed (n + 1, 2), from the vertex that is farthest from the centre."""
+    """The ring simplified by Douglas-Peucker: closed, (n + 1, 2), beginning at the vertex farthest from the centre."""
     xy_m = np.asarray(ring.coords)[:-1]
     start = int(np.argmax(np.hypot(*(xy_m - xy_m.mean(axis=0)).T)))
     closed = np.vstack([xy_m[start:], xy_m[: start + 1]])
@@ -221,7 +222,7 @@ def _simple(ring: shapely.LinearRing, cell_m: float) -> np.ndarray:
 
 
 def _is_cut(simple_m: np.ndarray, bounds: Bounds, cell_m: float) -> np.ndarray:
-    """Whether each edge of a simplified trace (n + 1, 2) is along the border of the cloud, bool (n,)."""
+    """bool (n,): whether each edge of a simplified trace (n + 1, 2) is along the border of the cloud."""
     beside = np.abs(np.tile(simple_m, 2) - bounds) <= RULES.cut_cells * cell_m
     return np.asarray((beside[:-1] & beside[1:]).any(axis=1))
 
@@ -229,8 +230,8 @@ def _is_cut(simple_m: np.ndarray, bounds: Bounds, cell_m: float) -> np.ndarray:
 def _lines(
     simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float], is_cut: np.ndarray | None = None
 ) -> list[_Line]:
-    """One line per edge of the simplified trace, through the middle of its staircase, in a main direction if near; in
-    that of an axis where the border of the cloud cuts."""
+    """One line per edge of the simplified trace, through the middle of its staircase, turned into a main direction if
+    one is near. is_cut: edges along the border of the cloud, which are turned into the direction of an axis."""
     sides_m = (traced_m[:-1] + traced_m[1:]) / 2
     weight = np.hypot(*np.diff(traced_m, axis=0).T)
     vertex = _indices(simple_m, traced_m)
@@ -260,7 +261,8 @@ def _lines(
 
 
 def _angle_of_points(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> float:
-    """The direction of the line through points, on the side of ``angle``; ``angle`` for few points."""
+    """The angle of the line fitted to points, in the sense of ``angle``; ``angle`` itself if there are few points, or
+    if the line is turned too far."""
     if len(xy_m) < RULES.min_trace_vertices:
         return angle
     local = xy_m - np.average(xy_m, axis=0, weights=weight)
@@ -271,7 +273,7 @@ def _angle_of_points(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> floa
 
 
 def _indices(simple_m: np.ndarray, traced_m: np.ndarray) -> np.ndarray:
-    """The number of each vertex of the simplified trace within the trace."""
+    """int (n + 1,): the index of each vertex of the simplified trace in the trace."""
     position = {tuple(xy): number for number, xy in reversed(list(enumerate(traced_m.tolist())))}
     result = np.array([position[tuple(xy)] for xy in simple_m.tolist()])
     if result[-1] == 0:
@@ -280,8 +282,8 @@ def _indices(simple_m: np.ndarray, traced_m: np.ndarray) -> np.ndarray:
 
 
 def _reduce(lines: list[_Line], min_edge_m: float) -> None:
-    """Join parallel neighbours and remove short edges, until there are none, but for the ends of tapering buildings.
-    Oblique edges, with which a raster cuts corners off, count as shorter than they are."""
+    """Join parallel neighbours and remove short edges, in place, until there are none. The short end of a tapering
+    building stays. Oblique edges, by which a raster cuts corners off, count as shorter than they are."""
     while True:
         while len(lines) > 3 and any(_join_parallel(lines, index) for index in range(len(lines))):
             pass
@@ -297,8 +299,8 @@ def _reduce(lines: list[_Line], min_edge_m: float) -> None:
 
 
 def _fill_corners(lines: list[_Line], points: EdgePoints) -> None:
-    """Remove oblique edges of an exterior beyond which the corner of their neighbours is full of points on the roof: a
-    raster cuts off corners of buildings that stand across it."""
+    """Remove oblique edges of an exterior, in place, if the corner that the neighbour edges form beyond is full of
+    points on the roof. A raster cuts off such corners of buildings that stand oblique to it."""
     for index in reversed(range(len(lines))):
         line, before, after = lines[index], lines[index - 1], lines[(index + 1) % len(lines)]
         ends = [_corner(before, line), _corner(line, after), _corner(before, after)]
@@ -315,7 +317,7 @@ def _fill_corners(lines: list[_Line], points: EdgePoints) -> None:
 
 
 def _is_cap(lines: list[_Line]) -> np.ndarray:
-    """Whether without each edge its neighbours would meet in a spike, bool (n,)."""
+    """bool (n,): whether the neighbours of each edge would meet in a spike without it."""
     direction = np.array([line.direction for line in lines])
     cosine = (np.roll(direction, 1, axis=0) * np.roll(direction, -1, axis=0)).sum(axis=1)
     opposite, least = np.cos(np.radians([RULES.parallel_deg, RULES.spike_deg]))
@@ -323,7 +325,8 @@ def _is_cap(lines: list[_Line]) -> np.ndarray:
 
 
 def _join_parallel(lines: list[_Line], index: int) -> bool:
-    """Join a line with the next if they are parallel: into their mean, or into the longer if they are opposite."""
+    """Join a line with the next one, in place, if they are parallel: into their mean, or into the longer one if their
+    directions are opposite. Returns whether they were joined."""
     line, following = lines[index], lines[(index + 1) % len(lines)]
     turn = following.angle - line.angle
     if abs(np.sin(turn)) > np.sin(np.radians(RULES.parallel_deg)):
@@ -347,7 +350,7 @@ def _corner(first: _Line, second: _Line) -> np.ndarray | None:
 
 
 def _foot(line: _Line, xy_m: np.ndarray) -> np.ndarray:
-    """The nearest point on the line."""
+    """The point on the line that is nearest to a point (2,)."""
     return xy_m + (line.offset - xy_m @ line.normal) * line.normal
 
 
@@ -376,8 +379,8 @@ def _polygon(lines: list[_Line], trace: shapely.LinearRing) -> shapely.Polygon |
 
 
 def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool, overhang_m: float) -> list[_Line]:
-    """The lines, each moved along its normal to where it best separates the two kinds of points, and from there inwards
-    by the overhang of the roof."""
+    """The lines, each moved along its normal to where it best separates points on roofs from points on the ground, and
+    from there inwards by the overhang of the roof."""
     corner = _corners(lines)
     if not np.isfinite(corner).all():
         return lines
@@ -394,16 +397,18 @@ def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool, overhang_m: f
 
 
 def _across(xy_m: np.ndarray, line: _Line, start_m: float, end_m: float) -> np.ndarray:
-    """Distances along the normal of the points in reach of an edge."""
+    """The distances from a line, along its normal, of the points beside its edge that are in reach."""
     along, across_m = xy_m @ line.direction, xy_m @ line.normal - line.offset
     return across_m[(along > start_m) & (along < end_m) & (np.abs(across_m) < RULES.max_move_m)]
 
 
 def _separation(roof: np.ndarray, ground: np.ndarray, per_metre: float) -> float:
-    """The offset with the fewest roof points beyond and ground points before it, 0 without evidence.
+    """The offset with the fewest points on roofs beyond it and points on the ground before it; 0 if there are few
+    points on roofs.
 
-    The strip before the edge must also be as dense as half a roof, which single points on hedges and walls are not.
-    per_metre: points in a strip of a roof along the edge that is a metre deep.
+    An edge moves out only over a strip that is at least half as dense as a roof, which single points on hedges and
+    walls are not. roof, ground: offsets of the points. per_metre: number of points on a roof in a strip along the edge
+    that is a metre deep.
     """
     if len(roof) < RULES.min_points:
         return 0.0

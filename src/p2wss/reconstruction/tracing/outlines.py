@@ -1,9 +1,10 @@
 """Outlines of buildings from classified points alone, where there are no footprints.
 
-Cells with points of class building, connected, are a block: buildings that touch. A block is split where the height of
-its roofs jumps. The edge of a block is traced on the raster, regularised and fitted to the points
-(:mod:`p2wss.reconstruction.tracing.outline_rings`); the seams between its buildings are straight lines through it, so
-that neighbours share bit-identical walls. Outlines are those of roofs, which overhang the walls.
+Connected cells with points of class building are a block: buildings that touch. A block is split into buildings where
+the height of its roofs jumps. The edge of a block is traced on the raster, regularised and fitted to the points
+(:mod:`p2wss.reconstruction.tracing.outline_rings`). The seams between its buildings are straight lines through the
+block, so neighbours share bit-identical walls. Points show the edges of roofs, which overhang the walls; each edge is
+moved inwards by ``Outlines.overhang_m``.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal
 from p2wss.storage.log_lines import log
 
-# a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
-# clouds of nearly the same density have the same cells
+# a cell has at least this many points on average: if necessary, cells are larger than ``cell_m``, in steps of 5 cm, so
+# that clouds of nearly the same density have the same cells
 _POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20
 _NEIGHBOURS = 8
-# of fewer points per square metre, outlines are coarse
+# with fewer points per square metre, outlines are coarse
 _SPARSE = 1.0
 _SQUARE = np.ones((3, 3), bool)
-# the trace of a block is that of a smoothed raster with smaller cells
+# a block is traced on a smoothed raster with cells smaller by this factor; the smoothing is in cells before that
 _FINER, _SMOOTH_CELLS = 3, 0.8
-# large buildings are split at smaller and smaller jumps, down to this
+# large buildings are split at smaller and smaller jumps in height, down to this
 _LEAST_JUMP_M = 0.4
-# pulses pass through a larger share of the cells of a crown, and through hardly any cell of a roof: all but those under
-# its edges, where walls may have any number of points
+# pulses pass through more than this share of the cells of a crown. On a roof, they pass only at its edges, where walls
+# may have any number of points
 _MOST_CELLS = 0.5
-# around the trace of a block
+# points up to this far from the trace of a block are used
 _POINTS_MARGIN_M = 2.0
-# around a tile, at first; and cells beside a block on which its own depend
+# first margin around a tile, which grows until blocks are whole; a block depends on this many cells beside it
 _TILE_MARGIN_M, _BESIDE_CELLS = 64.0, 8
 # the grid of seams, and how far a face may reach beyond the outline by rounding
 _GRID_M, _TOLERANCE_M = 1e-3, 0.01
@@ -59,8 +60,8 @@ _GRID_M, _TOLERANCE_M = 1e-3, 0.01
 class Raster:
     """Blocks and buildings in cells.
 
-    building: int32 (rows, columns), number of the building from 1, 0 outside. block: the same, of the block. origin_m:
-    x and y of the lower left corner; rows count to the north. density: points of class building per square metre.
+    building, block: int32 (rows, columns), the number of the building and of the block from 1, 0 outside. origin_m: x
+    and y of the lower left corner; rows count to the north. density: points of class building per square metre.
     """
 
     building: np.ndarray
@@ -71,13 +72,14 @@ class Raster:
 
     @property
     def transform(self) -> Affine:
-        """From columns and rows to x and y."""
+        """The transform from columns and rows to x and y."""
         return Affine(self.cell_m, 0, self.origin_m[0], 0, self.cell_m, self.origin_m[1])
 
 
 @dataclass(frozen=True)
 class CloudRaster(Raster):
-    """Those of a cloud. cell: int64 (n,), of each point, row by row. height_m: of roofs, float64 (rows, columns)."""
+    """The raster of a cloud. cell: int64 (n,), the index of the cell of each point, row by row. height_m: float64
+    (rows, columns), the height of roofs."""
 
     cell: np.ndarray
     height_m: np.ndarray
@@ -86,14 +88,13 @@ class CloudRaster(Raster):
 def outlines_and_crowns(
     cloud: Cloud, settings: Outlines, is_classified: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(polygons of the outlines of all buildings in the cloud, in the order of their lower left corners; those that are
-    left out, as they are of crowns), object arrays.
+    """(the outlines of all buildings in the cloud, sorted by their lower left corners; the outlines of tree crowns).
 
-    Neighbours share vertices along common walls. Raises :class:`InputError` if the cloud has no points, or none of
-    class building (:func:`p2wss.reconstruction.points.unclassified.with_classes` gives a cloud without classes some).
+    Both are object arrays of polygons. Neighbours share vertices along common walls. is_classified: whether class
+    building is the producer's. If so, there are no outlines of crowns; else a warning says how many were left out.
 
-    is_classified: whether class building is the producer's; else outlines of crowns are left out, and a warning says
-    how many. Raises :class:`InputError`, too, if all are of crowns.
+    Raises :class:`InputError` if the cloud has no points, none of class building
+    (:func:`p2wss.reconstruction.points.unclassified.with_classes` adds the class), or no outline of a building.
     """
     if not len(cloud):
         raise InputError("no outlines: the cloud has no points")
@@ -124,8 +125,8 @@ def outlines_and_crowns(
 
 
 def in_tiles(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRaster, np.ndarray]]:
-    """(points, their raster, outlines of buildings) of a cloud, or of each tile of a large one that has points of class
-    building."""
+    """(points, their raster, outlines of buildings) of the cloud, or if it is large, of each tile with points of class
+    building. Warns of a sparse cloud."""
     is_building = cloud.classification == BUILDING_CLASS
     density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
     cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
@@ -146,8 +147,8 @@ def in_tiles(cloud: Cloud, settings: Outlines) -> Iterator[tuple[Cloud, CloudRas
 def _of_tile(
     cloud: Cloud, tile: Bounds, is_done: np.ndarray, settings: Outlines, density: float, cell_m: float
 ) -> tuple[Cloud, CloudRaster]:
-    """The points in a tile and as far around it as its blocks are whole, and their raster, with these blocks only.
-    is_done: bool, points of the cloud in blocks of other tiles, to which those of these blocks are added."""
+    """(the points in a tile and so far around it that its blocks are whole; their raster, with only these blocks).
+    is_done: bool, the points of the cloud in blocks of earlier tiles; the points in these blocks are added in place."""
     margin_m = _TILE_MARGIN_M
     while True:
         window = grown(tile, margin_m)
@@ -170,7 +171,7 @@ def _of_tile(
 
 
 def _cells_of(raster: Raster, window: Bounds, num_less: int) -> tuple[slice, slice]:
-    """The rows and columns of a raster in a window of whole cells, without so many at its sides."""
+    """The rows and columns of a raster in a window of whole cells, without ``num_less`` cells along each side."""
     low, high = (
         (np.reshape(window, (2, 2))[k] - raster.origin_m) / raster.cell_m + side * num_less
         for k, side in ((0, 1), (1, -1))
@@ -197,7 +198,7 @@ def _outlines(cloud: Cloud, raster: CloudRaster, settings: Outlines, bounds: Bou
 
 
 def with_plants(cloud: Cloud, crowns: np.ndarray) -> Cloud:
-    """The cloud with points of class vegetation in place of those of class building in polygons of crowns."""
+    """The cloud, in which points of class building inside polygons of crowns get class vegetation."""
     inside, _, _ = crop_points(cloud.x_m, cloud.y_m, polygon_arrays.to_polygons(crowns), 0.0)
     classes = cloud.classification.copy()
     classes[inside[classes[inside] == BUILDING_CLASS]] = VEGETATION_CLASS
@@ -205,7 +206,7 @@ def with_plants(cloud: Cloud, crowns: np.ndarray) -> Cloud:
 
 
 def outline_features(shapes: np.ndarray, crs: pyproj.CRS) -> Features:
-    """Outlines as footprints with the column ``building_id``, numbers from 1 as text."""
+    """Outlines as footprints, with the columns ``building_id``, numbers from 1 as text, and ``area_m2``."""
     ids = np.array([str(number + 1) for number in range(len(shapes))], object)
     return Features(shapes, {"building_id": ids, "area_m2": shapely.area(shapes)}, horizontal(crs))
 
@@ -234,9 +235,9 @@ def _rasterised(cloud: Cloud, settings: Outlines, density: float, cell_m: float)
 
 
 def crowns(cloud: Cloud, shapes: np.ndarray, raster: CloudRaster) -> np.ndarray:
-    """Whether pulses pass through each outline as through the crown of a tree, bool (n,). raster: of the cloud.
+    """bool (n,): whether pulses pass through each outline as through the crown of a tree. raster: of the cloud.
 
-    They do if, in most of its cells that have points on the roof or under it, one is under it by at least the least
+    They do if most of its cells with points on or under the roof have a point under the roof, by at least the least
     height of a building.
     """
     is_building = cloud.classification == BUILDING_CLASS
@@ -253,8 +254,8 @@ def crowns(cloud: Cloud, shapes: np.ndarray, raster: CloudRaster) -> np.ndarray:
 
 
 def _density(x_m: np.ndarray, y_m: np.ndarray) -> float:
-    """Points per square metre: the median number in the cells of 1 m with points; if that is 1, which it is of all
-    sparser clouds, too, the median of the density within the distance of each point's eighth neighbour."""
+    """Points per square metre: the median number of points in the cells of 1 m with points. If that is 1, as in all
+    sparser clouds, it is the density within the median distance of a point to its eighth neighbour, but at most 1."""
     xy_m = np.column_stack([x_m, y_m])
     count = float(np.median(np.unique(np.floor(xy_m).astype(np.int64), axis=0, return_counts=True)[1]))
     if count > 1 or len(xy_m) <= _NEIGHBOURS:
@@ -264,7 +265,7 @@ def _density(x_m: np.ndarray, y_m: np.ndarray) -> float:
 
 
 def _large(label: np.ndarray, min_cells: float) -> np.ndarray:
-    """The labels, those of too few cells 0, the others numbered from 1."""
+    """The labels, numbered anew from 1; labels with too few cells become 0."""
     count = np.bincount(label.ravel())
     keep = count >= min_cells
     keep[0] = False
@@ -272,7 +273,7 @@ def _large(label: np.ndarray, min_cells: float) -> np.ndarray:
 
 
 def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Median height of the points in each cell; cells without points have that of the nearest."""
+    """The median height of the points in each cell; cells without points have the height of the nearest cell."""
     order = np.lexsort((z_m, cell))
     cells, start, count = np.unique(cell[order], return_index=True, return_counts=True)
     result = np.full(shape[0] * shape[1], np.nan)
@@ -281,8 +282,8 @@ def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.nd
 
 
 def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: float) -> np.ndarray:
-    """The buildings: cells of a block that connect without a jump in height; small ones join a neighbour. Large ones
-    are split again at smaller jumps."""
+    """int32 (rows, columns), the number of the building of each cell: cells of a block that connect without a jump in
+    height. Small buildings join a neighbour. Large buildings are split again at smaller jumps."""
     is_block = block > 0
     first, second = cell_neighbours(is_block)
     z_m, label, building = height_m[is_block], block[is_block], np.zeros_like(block)
@@ -302,7 +303,7 @@ def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: 
 
 
 def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells: float) -> np.ndarray:
-    """The labels (cells,), small parts joined with the neighbour of the longest wall."""
+    """The labels (cells,), with small parts joined to the neighbour with the longest common wall."""
     count = np.bincount(label).astype(float)
     a, b = label[first], label[second]
     differs = a != b
@@ -311,7 +312,7 @@ def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells:
     for (low, high), number in zip(pair.tolist(), length.tolist(), strict=True):
         walls[low][high] = walls[high][low] = number
     target = np.arange(len(count))
-    # smallest first; a part that grows is seen again in its turn
+    # smallest first, by the sizes before; a part that grows is looked at with its new size in its turn
     for part in np.argsort(count, kind="stable").tolist():
         around = walls[part]
         if not around or count[part] >= min_cells:
@@ -329,8 +330,8 @@ def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells:
 
 
 def _block_traces(raster: Raster, settings: Outlines) -> list[tuple[shapely.Polygon, Raster]]:
-    """(edge, the part of the raster around it) of the blocks, in the order of their numbers. Edges are along cells of a
-    third of the size: the raster is smoothed first, so that the steps of the raster in edges across it are small."""
+    """(edge, the part of the raster around it) of each block, in the order of their numbers. Edges are traced on cells
+    of a third of the size after the raster is smoothed. So the steps in an edge oblique to the raster are small."""
     result = []
     fine_m = raster.cell_m / _FINER
     for number, window in enumerate(scipy.ndimage.find_objects(raster.block), start=1):
@@ -350,7 +351,7 @@ def _block_traces(raster: Raster, settings: Outlines) -> list[tuple[shapely.Poly
 
 
 def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple[int, shapely.Polygon]]:
-    """(label, polygon along the edges of its cells), in the order of the labels, without small courtyards."""
+    """(label, polygon along the edges of its cells), sorted by label and descending area, without small courtyards."""
     result = []
     found = rasterio.features.shapes(label, mask=label > 0, connectivity=4, transform=raster.transform)
     for shape, value in found:
@@ -380,7 +381,8 @@ def _of_block(
 def _assembled(
     faces: np.ndarray, label: np.ndarray, raster: Raster, min_part_m2: float
 ) -> list[shapely.Polygon]:
-    """The faces, joined by the building that has most of their cells; small ones join a neighbour."""
+    """The polygons of the buildings: each face goes to the building that has most of its cells, and small polygons are
+    joined to a neighbour."""
     row, column = np.nonzero(label)
     centre: np.ndarray = shapely.points(  # type: ignore[assignment]
         raster.origin_m[0] + (column + 0.5) * raster.cell_m, raster.origin_m[1] + (row + 0.5) * raster.cell_m

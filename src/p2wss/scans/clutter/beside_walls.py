@@ -28,7 +28,7 @@ _ANNEX_WIDTH_M, _ANNEX_DEPTH_M, _ANNEX_HEIGHT_M = (2.5, 6), (2, 6), (2.2, 3.2)
 _ANNEX_BELOW_EAVE_M, _ANNEX_GAP_M, _ANNEX_TOLERANCE_M, _MIN_HALF_SIZE_M = 0.3, 0.01, 0.05, 0.1
 _MAX_TREES = 6
 _CROWN_RADIUS_M, _TREE_HEIGHT_M, _TRUNK_TO_WALL_M = (1.2, 4.2), (4, 14), (0.5, 7)
-# of a tree's height: the largest radius of its crown, and the height of the crown
+# shares of a tree's height: the largest radius of its crown, and the height of the crown
 _MAX_RADIUS_SHARE, _CROWN_SHARE = 0.45, (0.55, 0.85)
 # leaf area over a square metre of ground: 1 lets a third of the pulses through, 3 one in twenty
 _LEAF_AREA_INDEX = (1.0, 3.0)
@@ -109,7 +109,7 @@ def _meet_footprints(buildings: LocalBuildings, shapes: np.ndarray) -> np.ndarra
 
 
 def _leaf_draws(keys: np.ndarray, num_leaves: np.ndarray) -> np.ndarray:
-    """Twelve uniform draws per leaf, the leaves of one tree after those of the other."""
+    """Twelve uniform draws per leaf, (l, 12), tree by tree."""
     parts = [np.zeros((0, 12))]
     parts += [uniforms(keys[i : i + 1], 2**40, 12 * int(n)).reshape(-1, 12) for i, n in enumerate(num_leaves)]
     return np.concatenate(parts)

@@ -44,7 +44,7 @@ def between(u: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def left_of(direction: np.ndarray) -> np.ndarray:
-    """Directions (.., 2) turned left by a right angle: of a footprint edge, the direction inwards."""
+    """Directions (.., 2) turned left by a right angle. For a footprint edge this is the direction inwards."""
     return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
 
 
@@ -66,7 +66,7 @@ def edges(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
 def draw_edges(
     buildings: LocalBuildings, rows: np.ndarray, u: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A random edge of each of ``rows``, longer ones with more probability: number, length in metres,
+    """A random edge of each of ``rows``, with a probability proportional to its length: number, length in metres,
     outward unit normal (k, 2)."""
     length, along = edges(buildings.polygons)
     before = np.concatenate([[0.0], np.cumsum(length)])

@@ -14,9 +14,10 @@ from p2wss.scans.surface import Surface
 from p2wss.skeleton.types import FaceKind
 
 _STREAM = 16  # of the random draws; those of clutter objects count from 0
-# edges that meet at a smaller angle (its sine) are one wall, whose corner moves straight inwards
+# sine of an angle: edges that meet at a smaller angle are one wall, whose corner moves straight inwards
 _MIN_SINE = 0.2
-# an edge is free if no other building is nearer to it than this, apart from this share of its length at either end
+# an edge is free if no other building is nearer to it than this distance, leaving out this share of its length at
+# either end
 _NEIGHBOUR_M, _END_SHARE = 0.3, 0.1
 _ON_WALL_M = 0.02
 _MIN_LENGTH_SHARE = 0.3  # of an edge's length that its wall must keep
@@ -27,8 +28,8 @@ def set_walls_back(
 ) -> tuple[Surface, int]:
     """``surface`` with the walls of a share of the buildings moved inwards, and the number of these buildings.
 
-    The distance is one per building. A wall against a neighbour stays where it is, and so do all walls of a
-    building that is too narrow.
+    All walls of a building move by the same distance. A wall against a neighbour stays where it is, and so do all walls
+    of a building that is too narrow.
     """
     rows, u = draw_buildings(buildings, _STREAM, share)
     distance = np.zeros(len(buildings.key))

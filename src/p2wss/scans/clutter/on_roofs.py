@@ -20,10 +20,10 @@ from p2wss.scans.surface import ClutterKind
 # Sizes are drawn evenly between two values in metres, unless they are shares or slopes; half sizes are from the middle.
 _MAX_DORMERS = 3
 _DORMER_HALF_WIDTH_M, _DORMER_HEIGHT_M = (0.5, 1.1), (0.8, 1.4)
-# of the gable of a dormer, as a share of its half width; slopes (rise over run) of the roofs that carry dormers; and
-# the least slope that the length of a dormer is computed with
+# height of the gable of a dormer, as a share of its half width; slopes (rise over run) of the roofs that carry dormers;
+# the least slope with which the length of a dormer is computed
 _DORMER_RISE, _DORMER_SLOPES, _MIN_DORMER_SLOPE = (0.3, 1.0), (0.35, 2.0), 0.05
-# a chimney reaches so far below the lowest point of the roof beside it
+# sizes of a chimney, and how far it reaches below the lowest point of the roof beside it
 _CHIMNEY_HALF_LENGTH_M, _CHIMNEY_HALF_WIDTH_M, _CHIMNEY_HEIGHT_M = (0.2, 0.5), (0.2, 0.4), (0.5, 1.6)
 _CHIMNEY_DEPTH_M = 0.2
 # corners as in _dormer_corners: front wall with its gable, two side walls, two roof faces

@@ -360,6 +360,16 @@ def test_the_parameters_of_a_gable_roof_and_its_exact_planes(turn: float) -> Non
     assert np.abs(heights(fit.plane, ridge_m[:, :2]) - ridge_m[:, 2:]).max() < 1e-6
 
 
+def test_an_edge_at_a_sharp_corner_has_the_angle_of_the_roof_behind_it() -> None:
+    ring = np.array([[0.0, 0.0], [1.0, 0.0], [20.0, -8.0], [20.0, 1.0]])  # 3 degrees at the first corner
+    xy_m = np.random.default_rng(0).uniform([0, -8], [20, 1], (4000, 2))
+    xy_m = xy_m[shapely.contains_xy(shapely.Polygon(ring), *xy_m.T)]
+    low_m, high_m = np.full(len(xy_m), 4.0), 12 + SLOPE * xy_m[:, 1]
+    fit = fit_planes([ring], np.column_stack([xy_m, np.where(xy_m[:, 0] < 10, low_m, high_m)]), PLANES)
+    assert fit is not None and len(set(fit.label)) == 2
+    assert fit.parameters([ring])[1][0] == 0
+
+
 def test_roofs_that_change_places_along_an_edge_meet_in_a_point_of_it() -> None:
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
     cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0)])
