@@ -3,17 +3,16 @@
     python benchmarks/beside_roofer.py --data ../shared/data [--places delft dallas] [--repeats 3]
 
 Needs the data, which are not part of the project, and for the comparison Roofer (https://github.com/3DBAG/roofer) as
-``roofer`` on the PATH: without it its columns are empty, and bars that compare are not checked. A place whose folder is
-absent is skipped. Of *blocks*, the footprints are merged wall to wall, as maps of old cities have them.
+``roofer`` on the PATH: without Roofer its columns are empty, and bars that compare are not checked. A place whose
+folder is absent is skipped. For *blocks*, touching footprints are merged, as in maps of old cities.
 
 Both are whole commands with default outputs, Roofer with LoD2.2 alone. They run in turn, so that other work on the
-machine slows both; of each, the run with the least CPU time counts (compilation, where something is not compiled yet,
-is in the first). CPU time is user and system time of all processes of a command, peak memory that of the largest
-process. Nothing is scaled by the speed of the machine. The *start* is what ``p2wss reconstruct`` takes for one drawn
-house of 80 m² with 5 points per m² (imports, compiled functions, the files of a run), in turn with the two. *times* is
-the CPU time of p2wss less the start, over that of Roofer, from which nothing is taken off. Triangles are those of
-polygons with holes divided without further vertices. A run that takes longer than ``--limit`` is stopped, and misses
-its bars.
+machine slows both. The run with the least CPU time counts for each program; compilation, if needed, is in the first.
+CPU time is user and system time of all processes of a command, peak memory is the peak of its largest process. Nothing
+is scaled by the speed of the machine. The *start* is what ``p2wss reconstruct`` takes for one drawn house of 80 m² with
+5 points per m² (imports, compiled functions, the files of a run), in turn with the two programs. *times* is the CPU
+time of p2wss without the start, divided by the whole CPU time of Roofer. Triangles: polygons are divided without
+further vertices. A run that takes longer than ``--limit`` is stopped, and misses its bars.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ from figures import Figures, Run, run
 
 
 class Place(NamedTuple):
-    """Data of a folder. id_column: of the footprints; roofer: further options of Roofer. is_merged: whether footprints
-    that touch are one."""
+    """Data of a folder. id_column: of the footprints. roofer: further options of Roofer. is_merged: whether footprints
+    that touch are merged."""
 
     folder: str
     clouds: tuple[str, ...] = ("cloud.laz",)
@@ -60,11 +59,11 @@ PLACES = {
     # the border of the data cuts them
     "blocks of amsterdam": Place("amsterdam_ahn", ("ahn_2386_9702.laz", "ahn_2397_9705.laz"), is_merged=True),
 }
-# CPU time less the start, in CPU times of Roofer
+# bars: CPU time of p2wss without the start, divided by the CPU time of Roofer
 MOST_TIMES = {"delft": 1.2, "dallas": 3.0, "adelaide": 3.0, "house": 3.0, "toronto": 6.0}
 MOST_TIMES |= dict.fromkeys(("blocks of delft", "blocks of amsterdam"), 1.5)
 MOST_MIB = dict.fromkeys(("dallas", "adelaide", "house", "toronto"), 300.0)
-# in a process of its own: what this one has had in memory would count as the peak of small programs
+# in a process of its own: peaks of small programs would include the memory that this process has used
 DRAW = """
 import sys
 import geopandas, laspy, numpy, shapely
@@ -90,7 +89,7 @@ ids = [str(number) for number in range(len(blocks))]
 geopandas.GeoDataFrame({"id": ids}, geometry=blocks, crs=footprints.crs).to_file(sys.argv[2])
 """
 OF_PROGRAM = {"solids": "d", "triangles": ",d", "CPU s": ".2f", "MiB": ".0f"}
-# of the table: figures and how they are shown
+# columns of the table: figures and how they are shown
 COLUMNS = {
     **{f"{program} {name}": layout for program in ("p2wss", "roofer") for name, layout in OF_PROGRAM.items()},
     "start CPU s": ".2f",
@@ -101,7 +100,7 @@ P2WSS = (sys.executable, "-m", "p2wss.cli", "reconstruct")
 
 
 def commands(place: Place, data: Path, out: Path) -> dict[str, list[object]]:
-    """What reconstructs a place, by program; the folders p2wss and roofer in ``out`` get the results."""
+    """The command of each program for a place. Results go to the folders p2wss and roofer in ``out``."""
     folder = data / place.folder
     footprints = folder / "footprints.gpkg"
     if place.is_merged:
@@ -142,7 +141,7 @@ def written(folder: Path) -> tuple[int, int]:
 
 
 def in_turn(each: dict[str, list[object]], repeats: int, limit_s: float) -> dict[str, Run | None]:
-    """The cheapest run of each program; None of one that takes too long."""
+    """The run with the least CPU time of each program; None for a program that takes too long."""
     best: dict[str, Run | None] = {}
     for _ in range(repeats):
         for name, command in each.items():
@@ -208,7 +207,7 @@ def main() -> int:
 def measure(
     each: dict[str, list[object]], arguments: argparse.Namespace, out: Path
 ) -> dict[str, float | None]:
-    """What the programs needed and made at a place."""
+    """What the programs needed for a place, and what they made."""
     runs = in_turn(each, arguments.repeats, arguments.limit)
     row: dict[str, float | None] = {f"{name} CPU s": best and best.cpu_s for name, best in runs.items()}
     for program in (name for name in runs if name != "start"):
@@ -226,7 +225,7 @@ def measure(
 
 
 def check(title: str, row: dict[str, float | None], figures: Figures, has_roofer: bool) -> None:
-    """Add the bars of a place; what was not done in time misses them."""
+    """Add the bars of a place; a run that was not done in time misses them."""
     is_done = row["p2wss CPU s"] is not None
 
     def at_most(name: str, value: float | None, bar: float) -> None:

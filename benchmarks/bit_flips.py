@@ -5,9 +5,9 @@
 Needs no data; for the cost, the results of a run with Snakemake.
 
 Each file is written by the package, and read by the reader of the stage that follows, with one random bit flipped; a
-quarter of the flips are in the last kilobyte, where footers are. "told": one line names the file, or, of caches and
-checkpoints, a warning does and they are made again; "same": what was read is the same; "silent": it is not, and
-nothing was said.
+quarter of the flips are in the last kilobyte, where footers are. "told": an error or, for caches and checkpoints, which
+are made again, a warning names the file in one line; "same": the same content was read; "silent": other content was
+read, and nothing was said.
 
 With the results of a run, the cost: the time to verify the inputs of every job of a stage, as a share of the time that
 Snakemake measured for its jobs. The last line is JSON.
@@ -58,7 +58,7 @@ def main() -> int:
     return figures.end()
 
 
-# what each job of a stage reads of the results, by folder
+# files that each job of a stage reads of the results, by folder
 INPUTS = {
     "scenes": ["fetch/footprints.gpkg"],
     "buildings": ["scenes/{tile}.parquet"],

@@ -40,7 +40,7 @@ from p2wss.training import loop
 from p2wss.training.lock import training_lock
 
 _CHECKPOINT_EVERY_STEPS, _NUM_VALIDATION = 500, 512
-# of the buildings drawn, those kept for validation
+# share of the drawn buildings that is kept for validation
 _VALIDATION_SHARE = 0.02
 
 
@@ -88,7 +88,7 @@ class Sample(NamedTuple):
     slope: Any
 
     def each(self, function: Callable[[Any], Any]) -> Sample:
-        """The same with ``function`` of each array."""
+        """The sample with ``function`` applied to each array."""
         return Sample(Clues(*map(function, self.clues)), function(self.z), function(self.slope))
 
 
@@ -138,13 +138,13 @@ class CompletionTask:
 
 
 def loss_of(module: RoofCompletion, sample: Sample) -> Tensor:
-    """The loss of a batch of tensors. Their features are computed where the network is: they are a hundred times as
-    many numbers as the clues."""
+    """The loss of a batch of tensors. The features are computed on the device of the network: they are a hundred times
+    as many numbers as the clues."""
     return completion_loss(module(*features_of(sample.clues, torch)), sample.z, sample.slope)
 
 
 def _drawn(roofs: DrawnRoofs, index: np.ndarray, rng: np.random.Generator) -> Sample:
-    """Of buildings ``index`` (b,), in single precision."""
+    """A random batch of the buildings ``index`` (b,), in single precision."""
     return Sample(*draw_batch(roofs, index, rng)).each(
         lambda each: each if each.dtype == bool else each.astype(np.float32)
     )

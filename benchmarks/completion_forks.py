@@ -1,4 +1,4 @@
-"""What the steps of a training need, made ahead of them by other processes. Used by completion.py."""
+"""Make the batches of a training ahead of its steps, in other processes. Used by completion.py."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ _AHEAD = 2
 
 
 class Forks(Generic[T]):
-    """``make(step)`` of steps in ascending order, by ``num_processes`` forks of this process, from now on; 0: by this
-    one.
+    """``make(step)`` for ascending steps, made ahead by ``num_processes`` forks of this process; with 0, by this
+    process.
 
-    Fork i makes every step of which the remainder is i, some steps ahead. So the result is that of ``make`` alone
-    whatever the number of forks. One that is killed is replaced by this process. To be made before threads are.
+    Fork i makes the steps whose number divided by the number of forks leaves the remainder i. So the results do not
+    depend on the number of forks. If a fork is killed, this process makes the further steps. To be created before
+    threads.
     """
 
     def __init__(self, make: Callable[[int], T], num_processes: int) -> None:
@@ -59,7 +60,7 @@ class Forks(Generic[T]):
         self._forks = []
 
     def _serve(self, here: Connection, there: Connection) -> None:
-        # without the ends of the first process, which this one has, too, it ends with the first
+        # closes the inherited ends of the first process, so that this process ends with it
         for connection in (*self._forks, here):
             connection.close()
         # the first process decides: it may want the next batches before it stops

@@ -1,5 +1,5 @@
-"""The network that completes a roof of which few points are known: each point and each edge of the footprint states two
-planes, and each place of the roof chooses one of all these. :mod:`p2wss.nets.supposed` needs no torch.
+"""The network that completes a roof with few points. Each point and each edge of the footprint states two planes, and
+each place of the roof chooses one of all planes. :mod:`p2wss.nets.supposed` evaluates it without torch.
 
 Used by completion.py, for training."""
 
@@ -21,8 +21,8 @@ _HIDDEN = -1e4
 
 
 class Mixture(NamedTuple):
-    """The planes between which places choose. z: (b, q, k), of each plane at each place, units of 10 m. slope: (b, k,
-    2). log_deviation: (b, k), of heights. logit: (b, q, k)."""
+    """The planes between which places choose. z: (b, q, k), height of each plane at each place, units of 10 m. slope:
+    (b, k, 2), of the planes. log_deviation: (b, k), of their heights. logit: (b, q, k), of the choice."""
 
     z: Tensor
     slope: Tensor

@@ -21,7 +21,7 @@ from p2wss.nets.clues import MAX_AROUND, MAX_POINTS, MAX_SIZE_M, MAX_VERTICES, S
 from p2wss.towns import draw_town
 from p2wss.towns.buildings import DrawnBuilding, Wing
 
-# of how many towns of each kind: houses of several bodies and terraces above all
+# number of towns of each kind: above all houses of several bodies, and terraces
 KINDS = {
     "terraces": (draw_terraces, 30),
     "wings": (draw_wings, 120),
@@ -35,9 +35,9 @@ _SIMPLIFY_M, _NOISE_M, _OVERLAP_M = 0.3, 0.04, 0.05
 
 
 class DrawnRoofs(NamedTuple):
-    """Of n buildings: ring (n, v, 2), NaN for padding, and xy (n, k, 2), samples of the roof, relative to centre (n,
-    2); z (n, k), of the roof above the ground, slope (n, k, 2), and seen_z (n, k), with chimneys and dormers that a
-    model leaves out; neighbour: int (n, 6), the nearest ones, -1 for none."""
+    """n drawn buildings. ring: (n, v, 2), NaN for padding, and xy: (n, k, 2), samples of the roof, both relative to
+    centre: (n, 2). z: (n, k), height of the roof above the ground. slope: (n, k, 2). seen_z: (n, k), height with the
+    chimneys and dormers that a model leaves out. neighbour: int (n, 6), the nearest buildings, -1 for none."""
 
     ring: np.ndarray
     centre: np.ndarray
@@ -49,7 +49,8 @@ class DrawnRoofs(NamedTuple):
 
 
 def draw_roofs(seed: int, share: float = 1.0, num_processes: int = 1) -> DrawnRoofs:
-    """The roofs of towns of all kinds, the same whatever the number of processes. share: of the towns, rounded up."""
+    """The roofs of towns of all kinds, the same whatever the number of processes. share: of the towns of each kind to
+    draw, rounded up."""
     towns = [(kind, town) for kind, (_, num) in KINDS.items() for town in range(int(np.ceil(share * num)))]
     if num_processes == 1:
         drawn = [_roofs_of_town(seed, *town) for town in towns]
@@ -112,7 +113,7 @@ def _places_within(polygon: shapely.Polygon, rng: np.random.Generator) -> np.nda
 
 
 def _roof(wings: Sequence[Wing], xy_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The highest of wings: z (n,), minus infinity beside all, and slope (n, 2)."""
+    """Height of the highest wing at each place, z (n,), minus infinity beside all wings, and its slope (n, 2)."""
     z_m, slope = np.full(len(xy_m), -np.inf), np.zeros_like(xy_m)
     for wing in wings:
         outline = shapely.Polygon(wing.outline).buffer(_OVERLAP_M)
@@ -202,12 +203,12 @@ def draw_batch(
 
 
 def _samples(values: np.ndarray, building: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """Of ``values`` (n, k, ..) those of samples of buildings; several times faster than an index of two arrays."""
+    """``values`` (n, k, ..) at pairs of a building and a sample; several times faster than indexing with two arrays."""
     return values.reshape(-1, *values.shape[2:]).take(building * NUM_SAMPLES + sample, axis=0)
 
 
 def _turn(angle: np.ndarray) -> np.ndarray:
-    """(b, 2, 2), by which rows are multiplied."""
+    """Rotation matrices (b, 2, 2) for row vectors on their left."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
 
@@ -240,8 +241,8 @@ def _lower_part(
     where: tuple[int, float],
     rng: np.random.Generator,
 ) -> None:
-    """Lower the roofs at one end along an axis, with a share of probability, often with those around: changes
-    ``heights`` of points, points around and places, and ``slope`` of places."""
+    """For a random share of the buildings, lower the roof at one end along an axis, and often the roofs around, too.
+    Changes ``heights`` of points, points around and places, and ``slope`` of places."""
     axis, share = where
     num = len(half)
 
@@ -274,7 +275,7 @@ def _dormer(
     share: float,
     rng: np.random.Generator,
 ) -> None:
-    """Raise a level box out of the roof, with a share of probability."""
+    """For a random share of the buildings, raise a level box out of the roof."""
     num = len(half)
     middle = rng.uniform(-0.8, 0.8, (num, 1, 2)) * half[:, None]
     size = rng.uniform(0.8, 2.8, (num, 1, 2))

@@ -26,12 +26,12 @@ from figures import Figures
 ROOT = Path(__file__).resolve().parents[1]
 # the paper's experiment: CPU seconds, jobs
 PAPER_BARS = {"s": 60, "jobs": 10_000}
-# time per job of the most tiles, as a multiple of that of 100 tiles
+# bar: time per job with the most tiles, divided by the time per job with 100 tiles
 BAR_LINEAR = 1.5
 
 
 class Planning(NamedTuple):
-    """cpu_s and wall_s: of the process; peak_mb: its memory."""
+    """CPU and wall seconds of the process, and its peak memory in MB."""
 
     num_jobs: int
     cpu_s: float
@@ -57,7 +57,7 @@ def planning(*configs: Path) -> Planning:
 
 
 def square_of_tiles(num: int) -> list[str]:
-    """The names of ``num`` tiles, as near to a square as they come."""
+    """The names of ``num`` tiles that form about a square."""
     side = next(side for side in range(1, num + 1) if side * side >= num)
     return [f"{500 + i % side:04d}_{6500 + i // side:04d}" for i in range(num)]
 

@@ -4,10 +4,10 @@
     python benchmarks/delft.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
 
 The houses are row houses in Delft (AHN3, 15 points per m²; footprints of the BGT). ``--download`` cuts them out of the
-example data of 3dfier, whose digests are checked: the footprints are those of ``--data`` to the bit, in the same order,
-and the cloud has the same points in the same order. ``--judge`` is a script that shares no code with p2wss and is not
+example data of 3dfier, whose digests are checked. The footprints are bit-identical to the footprints of ``--data``, and
+the cloud has the same points, both in the same order. ``--judge`` is a script that shares no code with p2wss and is not
 part of the project; without it, ``p2wss evaluate`` measures by the same definitions. Roofer's output is recorded in
-``--data``; elsewhere the program is run if it is installed. The bars are those of the default. The last line is JSON.
+``--data``; elsewhere the program is run if it is installed. The bars apply to the default. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ VARIANTS = {
     "detail: low": ["--config", '{"reconstruct": {"detail": "low"}}'],
     "detail: high": ["--config", '{"reconstruct": {"detail": "high"}}'],
 }
-# of the default: Chamfer distance, that of the roofs and points to mesh in metres, number of triangles
+# bars of the default: Chamfer distance, roof Chamfer distance and points to mesh in metres, number of triangles
 BARS = {"cd": 0.91, "roof": 0.24, "p2m": 0.117, "tri": 40}
 # the same measures as columns of `p2wss evaluate`
 COLUMNS = {"cd": "cd_m", "roof": "roof_cd_m", "p2m": "points_to_mesh_m", "tri": "num_triangles"}
@@ -49,13 +49,14 @@ DIGESTS = {
     CLOUD: "0f55355090308932881c5a002b6b25a6e6a04422a3c712739191d0db6bb30d18",
     FOOTPRINTS: "0717d62108ae5459dcb7646d92f15e4b4c5640f79e5ecfd1fe8e1e3558e220d9",
 }
-# metres in EPSG:28992: x_min, y_min, x_max, y_max of the centroids of the houses, and how far around them the cloud is
+# x_min, y_min, x_max, y_max of the centroids of the houses, and margin of the cloud around the houses, metres in
+# EPSG:28992
 BOX_M, MARGIN_M = (84830.0, 447495.0, 84925.0, 447618.0), 5.0
 
 
 def fetched(name: str, folder: Path, source: str = SOURCE) -> Path:
-    """A file of the example data in ``folder``, fetched unless it is there. Ends with a message where its digest is
-    another."""
+    """A file of the example data in ``folder``, fetched unless it is there. Ends with a message if its digest is
+    wrong."""
     path = folder / Path(name).name
     if not path.exists():
         try:
@@ -72,7 +73,7 @@ def fetched(name: str, folder: Path, source: str = SOURCE) -> Path:
 
 
 def downloaded(folder: Path, source: str = SOURCE) -> Path:
-    """The folder with ``ahn3.laz`` and ``footprints.gpkg`` of the 74 houses, made of the example data."""
+    """The folder with ``ahn3.laz`` and ``footprints.gpkg`` of the 74 houses, cut out of the example data."""
     cloud, footprints = laspy.read(fetched(CLOUD, folder, source)), fetched(FOOTPRINTS, folder, source)
     houses = gpd.read_file(footprints)
     centre, (x_min, y_min, x_max, y_max) = houses.centroid, BOX_M

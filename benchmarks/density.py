@@ -6,11 +6,11 @@
 Needs ``trondheim``, ``nyc_roofn3d`` and the judge, which are not part of the project; a place that is absent is left
 out.
 
-The true roofs are wireframes that persons labelled, and the outlines are traced from the points. So many points per
-square metre of each outline are drawn from the seeds, and as large a share of those beside it; the judge compares the
-edges of the roofs with the true ones. Exact are roofs with less than 2 % of edges that are false, or missing, by more
-than 0.5 m. Of Trondheim, noise also moves all points up or down, as that of heights from pictures; of two flights that
-do not fit each other, every second point is higher.
+The true roofs are wireframes that persons labelled, and the outlines are traced from the points. For each density,
+points within an outline are drawn at random, and the same share of the points beside it. The judge compares the
+edges of the roofs with the true ones. A roof is exact if less than 2 % of its edges are false, and less than 2 %
+missing, by more than 0.5 m. In Trondheim noise is measured, too: it moves all points up or down, as in heights from
+pictures, or every second point is higher, as with two flights that do not fit each other.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from p2wss.reconstruction.roof_lines import LINES, with_lines
 from p2wss.storage.features import Features
 
 EPSG = {"trondheim": 25832, "nyc_roofn3d": 32118}
-# more than there are
+# more points per square metre than any building has
 ALL_PER_M2 = 1000.0
-# points per square metre: the share of exact roofs in Trondheim
+# bars by points per square metre: share of exact roofs in Trondheim
 BARS = {3.0: 0.9, 1.0: 0.85, 0.5: 0.65}
-# metres, of points up or down, and of every second one up: the share of exact roofs in Trondheim
+# bars by noise of heights and by shift of every second point, metres: share of exact roofs in Trondheim
 NOISE_BARS = {(0.1, 0.0): 0.9, (0.15, 0.0): 0.85, (0.2, 0.0): 0.7, (0.0, 0.2): 0.9}
 FIGURES = r"false edges ([\d.]+), missing ([\d.]+), exact (\d+) of (\d+), corners F1 ([\d.]+)"
 
 
 def judged(buildings: list[Building], place: Path, judge: Path) -> dict[str, float]:
-    """What the judge says of the roofs of some buildings of a place."""
+    """What the judge says about the roofs of some buildings of a place."""
     rows = reconstruct_buildings(buildings, None, Config().reconstruct)
     results = [Result(row, "ok", None, 0, np.nan, np.nan, False) for row in rows]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "roofs.city.jsonl"
         path.write_text("".join(city_json(results, pyproj.CRS(EPSG[place.name]))), encoding="utf-8")
-        command = [sys.executable, judge, path, place / "wireframes.json"]
+        command = list(map(str, [sys.executable, judge, path, place / "wireframes.json"]))
         line = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     found = re.fullmatch(FIGURES, line.strip())
     assert found, line
@@ -65,7 +65,7 @@ def judged(buildings: list[Building], place: Path, judge: Path) -> dict[str, flo
 
 
 def noisy(building: Building, noise_m: float, apart_m: float, seed: int) -> Building:
-    """A building whose points are off by normal noise, and every second of which is higher."""
+    """A building with normal noise on the heights of its points, and with every second point higher by ``apart_m``."""
     rng = np.random.default_rng([seed, *building.building_id.encode()])
     num = len(building.point_m)
     off_m = noise_m * rng.normal(size=num) + apart_m * (rng.random(num) < 0.5)
@@ -76,7 +76,8 @@ def few(building: Building, per_m2: float, seed: int) -> Building:
     return few_points.thinned(building, per_m2, seed, True)
 
 
-# kinds of points: what makes them of a building and a seed, and the bar in Trondheim, where alone noise is measured
+# kinds of points: a function of a building and a seed that makes them, and the bar in Trondheim. Noise is measured
+# there only
 DENSITIES = {
     "all per m²": (partial(few, per_m2=ALL_PER_M2), None),
     **{f"{per_m2:g} per m²": (partial(few, per_m2=per_m2), bar) for per_m2, bar in BARS.items()},
@@ -93,7 +94,7 @@ NOISES = {
 def with_true_lines(
     building: Building, wireframe: dict[str, list] | None, moved_m: float, seed: int
 ) -> Building:
-    """A building with the lines of its true roof, vertices moved by normal noise, that lie within its footprint."""
+    """A building with the lines of its true roof within its footprint, their vertices moved by normal noise."""
     if wireframe is None:
         return building
     vertex_m = np.array(wireframe["vertex_m"])[:, :2] - building.origin_xy_m

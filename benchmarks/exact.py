@@ -7,10 +7,10 @@ miniature, by default, with ``--skin --wedges`` and with ``--detail high``, as a
 CityJSON for faces and validity, OBJ for triangles, the table of wedges. ``--keep``: files that are there already are
 measured again. Only whether solids are valid is decided by code of the package.
 
-* A *fold* is an edge whose triangles turn by 0.1 to 5 degrees. One of a skin counts if the buildings by themselves have
-  none at its place, or above it where a floor was lowered with its walls; between two buildings it may be true, as
-  roofs of neighbours may differ by so little.
-* What coordinates in hundredths of a millimetre explain counts neither as a fold nor as a tilt nor as a wrong angle.
+* A *fold* is an edge whose triangles turn by 0.1 to 5 degrees. A fold of a skin counts if the separate buildings have
+  none at its place, or above it where a floor was lowered with its walls. Between two buildings a fold may be true, as
+  the slopes of neighbours may differ by so little.
+* Deviations explained by coordinates in hundredths of a millimetre are neither folds nor tilts nor wrong angles.
 * A wall is *along the footprint* if it is turned by less than 0.1 degrees from an edge of the input beside it; walls
   away from the footprint do not count.
 """
@@ -42,10 +42,10 @@ from p2wss.mesh.rules import Tolerances, breaches
 SURFACES = ("wall", "roof", "ground", "outer_floor")
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = {"default": [], "--skin": ["--skin", "--wedges"], "detail: high": ["--detail", "high"]}
-# of solids: stricter than the defaults of val3dity
+# tolerances of solids, stricter than the defaults of val3dity
 STRICT = Tolerances(snap_m=1e-2, planar_m=1e-3, fold_deg=1.0)
 FOLD_DEG, TILT_DEG, ANGLE_DEG, ALONG_DEG, WEDGE_DEG = (0.1, 5.0), 0.01, 0.05, 0.1, 1.0
-# by which the rounding of coordinates may move a surface, and where two points or edges are one
+# distance by which the rounding of coordinates may move a surface; distance at which two points or edges count as one
 ROUNDED_M, SAME_M = 2e-5, 3e-3
 # roofs are less steep than this; one of Delft has 79 degrees
 STEEPEST_ROOF_NZ = 0.05
@@ -57,8 +57,9 @@ LOWERED_M = 0.5
 
 @dataclass(frozen=True)
 class Edges:
-    """The edges of a mesh between two triangles. end_m: (e, 2, 3). turn_deg: (e,), positive where it is convex.
-    blur_deg: (e,), what the rounding of coordinates may change in that. is_between: (e,), of two buildings."""
+    """The edges of a mesh between two triangles. end_m: (e, 2, 3). turn_deg: (e,), positive at convex edges. blur_deg:
+    (e,), by how much the rounding of coordinates may change turn_deg. is_between: (e,), whether an edge lies between
+    two buildings."""
 
     end_m: np.ndarray
     turn_deg: np.ndarray
@@ -67,7 +68,7 @@ class Edges:
 
     @property
     def folds(self) -> np.ndarray:
-        """bool (e,)."""
+        """bool (e,): which edges are folds."""
         turn_deg = np.abs(self.turn_deg)
         return (turn_deg > np.maximum(FOLD_DEG[0], self.blur_deg)) & (turn_deg < FOLD_DEG[1])
 
@@ -101,7 +102,7 @@ def edges_of(vertex_m: np.ndarray, triangle: np.ndarray, building: np.ndarray) -
     length_m = np.linalg.norm(along, axis=1)
     sine = (np.cross(normal[left], normal[right]) * along).sum(axis=1) / length_m
     turn_deg = np.degrees(np.arctan2(sine, (normal[left] * normal[right]).sum(axis=1)))
-    # a corner that moves turns a triangle by so much at most, by its least height
+    # largest turn of a triangle by a corner that moves, from its least height
     side_m = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=2)
     blurred_deg = np.degrees(np.arctan2(ROUNDED_M, twice_m2 / side_m.max(axis=1)))
     return Edges(
@@ -113,10 +114,10 @@ def edges_of(vertex_m: np.ndarray, triangle: np.ndarray, building: np.ndarray) -
 
 
 def new_folds(skin: Edges, parts: Edges) -> np.ndarray:
-    """Which edges of a skin, bool (e,), are folds where the parts have none."""
+    """bool (e,): which edges of a skin are folds where the parts have none."""
     result = skin.folds
     rows = np.flatnonzero(result)
-    # beside thin triangles, an edge of the parts may be a fold or not
+    # rounding decides whether an edge of the parts beside thin triangles is a fold: such edges count as folds here
     turn_deg = np.abs(parts.turn_deg)
     ends = parts.end_m[(turn_deg + parts.blur_deg > FOLD_DEG[0]) & (turn_deg - parts.blur_deg < FOLD_DEG[1])]
     lines = shapely.linestrings(ends)
@@ -132,7 +133,7 @@ def new_folds(skin: Edges, parts: Edges) -> np.ndarray:
 
 
 def wrong_wedges(edges: Edges, table: pd.DataFrame, origin_m: np.ndarray) -> dict[str, int]:
-    """Numbers of convex edges that the table lacks, of rows without such an edge, and of angles that are off."""
+    """Numbers of convex edges that the table lacks, of rows without such an edge, and of wrong angles."""
     stated = np.stack(
         [table[[f"{axis}{k}_m" for axis in "xyz"]].to_numpy() - origin_m for k in (0, 1)], axis=1
     )
@@ -167,7 +168,7 @@ def shells(path: Path) -> Iterator[tuple[np.ndarray, list[list[list[int]]]]]:
 
 
 def measure_faces(city_json: Path, footprints: Path) -> dict[str, float]:
-    """What the faces of the solids of a CityJSON file are like."""
+    """Figures of the faces of the solids in a CityJSON file."""
     frame = gpd.read_file(footprints)
     rings = shapely.get_rings(shapely.get_parts(shapely.force_2d(frame.geometry.to_numpy())))
     sides = np.concatenate(
@@ -223,7 +224,7 @@ def measure_faces(city_json: Path, footprints: Path) -> dict[str, float]:
 
 
 def measure_triangles(vertex_m: np.ndarray, triangle: np.ndarray, num_buildings: int) -> dict[str, float]:
-    """What the triangles of a mesh are like."""
+    """Figures of the triangles of a mesh."""
     corner = vertex_m[triangle]
     ahead, back = np.roll(corner, -1, axis=1) - corner, np.roll(corner, 1, axis=1) - corner
     sine = np.linalg.norm(np.cross(ahead, back), axis=2)
@@ -236,13 +237,13 @@ def measure_triangles(vertex_m: np.ndarray, triangle: np.ndarray, num_buildings:
 
 
 def one(folder: Path, pattern: str) -> Path:
-    """The one file of a folder with such a name."""
+    """The only file of a folder that matches a pattern."""
     (path,) = folder.glob(pattern)
     return path
 
 
 def measure(name: str, footprints: Path, folders: dict[str, Path], figures: Figures) -> None:
-    """All variants of a place."""
+    """Add the figures of all variants of a place."""
     edges, triangles = {}, 0.0
     for variant, folder in folders.items():
         vertex_m, triangle, building = read_obj(one(folder, "*.obj"))

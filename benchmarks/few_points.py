@@ -6,8 +6,8 @@
 
 Needs ``delft_ahn3`` and the judge, which are not part of the project.
 
-So many points of each house of Delft are drawn, and as large a share of the points beside it, three times; the judge
-measures against all points. Half A of the houses (every second by id) chose the settings, half B decided nothing.
+Three times, a number of points of each house of Delft is drawn, and the same share of the points beside it; the judge
+measures against all points. Settings were chosen on half A of the houses (every second by id), none on half B.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from p2wss.reconstruction.network import reconstruct_with_network, with_supposed
 from p2wss.reconstruction.product import reconstruct_buildings
 
 _NUM_DRAWS = 3
-# points per square metre of the footprint; with 20, nearly all houses have all their points, 14 (median)
+# points per square metre of the footprint; at 20, nearly all houses keep all their points, 14 per square metre (median)
 DENSITIES = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-# points on each building, or the share of them: (points to mesh, roof CD) in metres that half B must reach
+# bars of half B: (points to mesh, roof CD) in metres, by number of points on each building or, below 1, by their share
 BARS: dict[float, tuple[float, float]] = {
     80: (0.133, 0.240),
     40: (0.160, 0.280),
@@ -47,8 +47,8 @@ BARS: dict[float, tuple[float, float]] = {
 
 
 def thinned(building: Building, amount: float, draw: int, per_m2: bool = False) -> Building:
-    """A building with ``amount`` points of class building, or that share of them, or so many per square metre, and a
-    like share of the others."""
+    """A building with some of its points: ``amount`` points of class building, or that share of them if it is below 1,
+    or with ``per_m2`` so many per square metre of the footprint. About the same share of the other points is kept."""
     on_building = np.flatnonzero(building.classification == BUILDING_CLASS)
     unit = building.polygon.area if per_m2 else 1.0 if amount >= 1 else len(on_building)
     count = min(len(on_building), round(amount * unit))
@@ -61,7 +61,7 @@ def thinned(building: Building, amount: float, draw: int, per_m2: bool = False) 
 
 
 def with_roofs_around(buildings: list[Building]) -> list[Building]:
-    """Buildings with few points with those on the roofs around them, as the command gives them."""
+    """The buildings; a building with few points gets the points on the roofs around it, as in the command."""
     placed = [(each.point_m + each.position_m)[each.is_on_building] for each in buildings]
     result = []
     for number, building in enumerate(buildings):
@@ -76,7 +76,7 @@ def with_roofs_around(buildings: list[Building]) -> list[Building]:
 
 
 def only_supposed(building: Building) -> Building:
-    """A building whose points are places of the roof that the network supposes; with its own, if there are many."""
+    """A building with the roof that the network predicts in place of its points; unchanged if it has many points."""
     (supposed,) = with_supposed_roofs([building])
     if not len(supposed.supposed_m):
         return building
@@ -90,8 +90,8 @@ def only_supposed(building: Building) -> Building:
 def fits_of(
     buildings: list[Building], config: Reconstruct, predictor: Any, only_default: bool
 ) -> dict[str, list[Reconstruction]]:
-    """Reconstructions by each method; "fit": what the points show without the network; "supposed": what the network
-    says without the points."""
+    """Reconstructions by method. "fit": without the network; "alone": also without points on roofs around; "supposed":
+    from the network's roof in place of the points. only_default: the default alone."""
     default = reconstruct_buildings(buildings, None, config)
     if only_default:
         return {"default": default}

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# CPU seconds of the reference kernel on the machine of most figures, when that is idle
+# CPU seconds of the reference kernel on the idle machine on which most figures were measured
 REFERENCE_S = 0.205
 
 
@@ -53,7 +53,7 @@ class Figures:
 
 
 def cpu_seconds(call: Callable[[], object], repeats: int = 3) -> float:
-    """CPU time of the fastest of a few calls, after one that is not measured."""
+    """CPU time of the fastest of ``repeats`` calls, after one that is not measured."""
     call()
     best = np.inf
     for _ in range(repeats):
@@ -64,7 +64,7 @@ def cpu_seconds(call: Callable[[], object], repeats: int = 3) -> float:
 
 
 def peak_mib() -> float:
-    """Peak memory of this process. getrusage is of no use: its figure begins with the parent's memory."""
+    """Peak memory of this process. getrusage does not tell it: its figure starts with the memory of the parent."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
@@ -79,8 +79,8 @@ class Run(NamedTuple):
 
 
 def run(command: Sequence[object], limit_s: float | None = None, **environment: str) -> Run:
-    """Run a program to its end, with bytecode of the sources as after an installation. The CPU time is that of all its
-    processes, the memory that of the largest; it is at least what this process has had, so that this one should stay
+    """Run a program to its end; bytecode of the sources is written, as after an installation. CPU time counts all its
+    processes, memory the largest one. The memory is at least the peak of this process, which should therefore stay
     small. Raises ``SystemExit`` with the messages of the program if it fails, ``TimeoutError`` after ``limit_s``."""
     inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     words = [str(word) for word in command]

@@ -2,11 +2,10 @@
 
     python benchmarks/first_use.py
 
-Compilation: CPU seconds of one process that compiles all that ``p2wss reconstruct`` needs, more than of the same
-process when all is compiled. ``p2wss warm-up``, as a first run, has several processes for that. Start: to the end of a
-run with three buildings, most of which is imports. In a cache folder of its own, so nothing that is compiled already
-counts; CPU time, so other work on the machine does not either, divided by how much slower than usual the machine is
-(``figures.slowness``).
+Compilation: CPU seconds of one process that compiles all that ``p2wss reconstruct`` needs, less the CPU seconds of the
+same process when all is compiled. ``p2wss warm-up`` and a first run use several processes for that. Start: a whole run
+with three buildings, mostly imports. A cache folder of its own leaves out what is compiled already. CPU time leaves out
+other work on the machine, and is divided by how much slower than usual the machine is (``figures.slowness``).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ BARS = {
     "warm-up again, CPU s": 5,
     "warm-up, wall over the CPU of one process": 0.75,
 }
-# compiles everything in this process, and tells what of p2wss it compiled
+# compiles everything in its process, and prints which functions of p2wss it compiled
 COMPILE = """
 import collections, json, time
 from numba.core import event
@@ -58,7 +57,7 @@ def compilation(cache: Path) -> tuple[float, dict[str, int]]:
 
 
 def run(command: list[str], cache: Path) -> str:
-    """What a command writes to its standard output, with this cache folder."""
+    """What a command writes to its standard output, with a cache folder."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
 

@@ -5,7 +5,7 @@
 Needs ``delft_ahn3``, ``lidarhd_crops``, ``bresse_ign`` and the judge, which are not part of the project.
 
 Means over the original clouds and three copies jittered by 2.5 mm, without the network; there are no bars. Half A of
-Delft (every second house by id) and blocks b0 and b4 were used for tuning, the others were not.
+Delft (every second house by id) and blocks b0 and b4 were used for tuning, all other buildings were not.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def judged_rows(
 
 
 def groups(name: str, ids: Sequence[str]) -> dict[str, set[str]]:
-    """The names and members of the groups that a data set is reported in."""
+    """The groups in which a data set is reported: members by name."""
     if name == "delft":
         return {"delft": set(ids), "half A": set(ids[::2]), "half B": set(ids[1::2])}
     if name == "blocks":

@@ -4,21 +4,21 @@
 
 Needs no data. Draws clouds and footprints, the work doubling eight times, and runs the whole command on each:
 
-* planes: of one building, 5 to 1,280: a hall of aisles 8 m deep, whose bays have a slope each, with steps between all
-  of them; the bays of an aisle begin elsewhere than those of the next;
+* planes: of one building, 5 to 1,280: a hall of aisles 8 m deep. Each bay of an aisle has its own slope, with steps
+  between all bays; bays of neighbouring aisles begin at different places;
 * row: gabled houses of one block, 10 to 2,560, wall to wall, with steps between them;
 * run: detached gabled houses, 100 to 25,600, which take a quarter of an hour and 3 GB of disk; ``--most 5`` ends
   at 3,200;
 * density: points per m² on one house of 140 m² with five roofs, 2 to 512;
 * edges: of one outline, 4 to 1,024, with teeth of half a metre around one roof of 1,600 m²; the area stays the same.
 
-Each size is a process of its own: its CPU time and peak memory (``figures.run``), less those of a run of one small
-house, in turn with it; the least of three for runs below ten seconds, of fifteen where a ratio is over it. The exponent
-is the slope of log cost over log work in the upper half of the sizes, where little of the cost does not grow: 1 is in
-proportion, 2 with the square. Of memory, only sizes that take ``MIN_MIB`` more than the small house count: less is
-within what the start takes, and the exponent is 0 if that is so of all but one. *Built* is how many roof faces the
-result has, of those that were drawn: time in which nothing was found proves nothing. A kind ends where a run takes
-longer than ``--limit``; then the figures say up to which size it was measured.
+Each size is a process of its own. Its CPU time and peak memory (``figures.run``) are reduced by the least values of
+runs of one small house, in turn with it. The least of three runs counts if they take below ten seconds, of fifteen for
+the divisor of a ratio. The exponent is the slope of log cost over log work in the upper half of the sizes, where hardly
+any cost is constant: 1 is in proportion, 2 with the square. Memory counts only for sizes that take ``MIN_MIB`` more
+than the small house, as less is within what the start takes; the exponent is 0 with fewer than two such sizes. *Built*
+is the share of the drawn roof faces that the result has: time in which nothing was found proves nothing. A kind ends
+where a run takes longer than ``--limit``; the figures state up to which size it was measured.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from figures import Figures, Run, run
 FIRST = {"planes": 5, "row": 10, "run": 100, "density": 2, "edges": 4}
 MOST_EXPONENT = {"planes": 1.15, "row": 1.15, "run": 1.15, "density": 1.15, "edges": 1.15}
 NUM_DOUBLINGS = 8
-# the bars of single ratios: CPU time of a size over that of a smaller one
+# bars of single ratios: CPU time of a size divided by that of a smaller one
 RATIOS = {"planes": (640, 40, 20.0)}
 MIN_MIB = 20.0
-# drawn roofs of each unit of work, or of all sizes; and the least share of them that has to be built in the upper half
+# drawn roofs per unit of work, or for all sizes; and the least share of them to be built in the upper half of the sizes
 ROOFS = {"planes": 1.0, "row": 2.0, "run": 2.0}
 ROOFS_OF_ALL = {"density": 5.0, "edges": 2.0}
 MIN_BUILT = 0.7
@@ -148,7 +148,7 @@ def write(kind: str, size: int, folder: Path) -> None:
     xyz = np.column_stack(
         [x0[part] + right_m, y0[part] + up_m, eave_m[part] + along_x[part] * right_m + along_y[part] * up_m]
     )
-    polygons = shapely.polygons([shapely.linearrings(ring) for ring in outlines])
+    polygons = shapely.polygons([shapely.LinearRing(ring) for ring in outlines])
     if kind == "edges":
         xyz = xyz[shapely.contains_xy(polygons[0], *xyz[:, :2].T)]
     low, high = np.min([x0, y0], axis=1) - 3.0, np.max([x1, y1], axis=1) + 3.0
@@ -171,7 +171,8 @@ def write(kind: str, size: int, folder: Path) -> None:
 
 
 def command(kind: str, size: int, folder: Path) -> list[object]:
-    """What reconstructs a drawn input, which is made. In a process of its own: figures.run wants a small one."""
+    """The command that reconstructs a drawn input. The input is drawn in a process of its own, as figures.run needs a
+    small one."""
     folder.mkdir()
     run([sys.executable, __file__, "--draw", kind, size, folder])
     inputs = (folder / "cloud.las", folder / "footprints.gpkg", folder / "out")
@@ -194,7 +195,7 @@ def num_roofs(folder: Path) -> int:
 def measured(
     start: list[object], whole: list[object], limit_s: float, most_runs: int = REPEATS
 ) -> tuple[float, float, int]:
-    """(CPU seconds, MiB) of a run less those of the start, and how many runs there were."""
+    """(CPU seconds, MiB) of a run without those of the start, and the number of runs."""
     starts: list[Run] = []
     runs: list[Run] = []
     while len(runs) < most_runs and (not runs or runs[-1].wall_s < LONG_S):
@@ -221,7 +222,7 @@ def measure(kind: str, most: int, limit_s: float, folder: Path, figures: Figures
     for size in (FIRST[kind] * 2**number for number in range(most + 1)):
         place = folder / f"{kind} {size}"
         try:
-            # what a ratio divides by is hardly more than the noise of the start
+            # the divisor of a ratio is hardly larger than the noise of the start
             is_divisor = kind in RATIOS and size == RATIOS[kind][1]
             most_runs = 5 * REPEATS if is_divisor else REPEATS
             cpu_s, mib, num_runs = measured(start, command(kind, size, place), limit_s, most_runs)

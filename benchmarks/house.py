@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "p2wss"
 FEW_ARGUMENTS = 8
 _FIT = "fit/fitting.py"
-# roof CD and points to mesh in metres, triangles: the means of fit_ablation.py before the package was made smaller
+# means of fit_ablation.py before the package was made smaller: roof CD and points to mesh in metres, triangles
 ACCURACY = {
     "delft": (0.2371, 0.1101, 43.7),
     "half A": (0.2367, 0.1166, 43.4),
@@ -116,7 +116,7 @@ def in_circles(rooms: dict[str, set[str]]) -> set[str]:
 
 def floors(rooms: dict[str, set[str]]) -> dict[str, int]:
     """The floor of each room in the order that CONTRIBUTING.md states, 0 at the top. benchmarks and workflow are above
-    all; rooms that it does not name are "the other stages"."""
+    all; rooms that CONTRIBUTING.md does not name count as "the other stages"."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if line.startswith("`cli` >"))
     of_room = {"benchmarks": -1, "workflow": -1}
@@ -135,9 +135,9 @@ def upwards(rooms: dict[str, set[str]]) -> list[tuple[str, str]]:
 
 
 def stations() -> list[str]:
-    """The stations of a building. Those of the fit are read from the code: the functions of its module that
-    ``fit_building`` calls, in order. The others are rows of the table in the overview, whose functions a test of the
-    documentation finds in the code."""
+    """The stations of a building. The stations of the fit are read from the code: the functions of its module that
+    ``fit_building`` calls, in order. The other stations are rows of the table in the overview; a test of the
+    documentation finds their functions in the code."""
     page = (ROOT / "docs/methods/overview.md").read_text(encoding="utf-8")
     rows = page.split("## ")[0].split("|---|---|---|\n")[1].strip().splitlines()
     cells = [row.split("|") for row in rows if row.startswith("|")]
@@ -191,7 +191,7 @@ def count(figures: Figures) -> None:
 
 
 def last_line(*command: object) -> dict[str, dict[str, float]]:
-    """What another benchmark measures."""
+    """The figures that another benchmark prints in its last line."""
     words = [sys.executable, *map(str, command)]
     # the exit status tells whether the bars of that benchmark are met
     process = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)

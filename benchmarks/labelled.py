@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def errors(labelled: list[Case], reconstructions: list[Reconstruction]) -> list[
     """Errors of the reconstructions, one per labelled building."""
     # where the reconstruction has no angles, the label alone decides which edges are seen
     angle_deg = [
-        case.angle_deg if row.angle_deg is None else row.angle_deg
+        cast(np.ndarray, case.angle_deg if row.angle_deg is None else row.angle_deg)
         for case, row in zip(labelled, reconstructions, strict=True)
     ]
     masks = measure.seen_edges(labelled, angle_deg)

@@ -6,7 +6,8 @@
 Needs torch, labelled crops of a run of the pipeline, and checkpoints of a training.
 
 The weights of each checkpoint predict held-out buildings: with the footprint given, and with all digits masked
-as in Table 1 of the paper. The last line is JSON; a training keeps its last two checkpoints, so copy those in between.
+as in Table 1 of the paper. The last line is JSON. A training keeps only its last two checkpoints: copy earlier ones
+while it runs.
 """
 
 from __future__ import annotations

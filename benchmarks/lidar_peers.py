@@ -30,7 +30,7 @@ _MAX_CHUNKS = 40
 
 @dataclass(frozen=True)
 class CastComparison:
-    """Speed of the cast over that of embreex alone, of trimesh, and of trimesh where both build their trees
+    """Speed of the cast divided by the speed of embreex alone, of trimesh, and of trimesh where both build their trees
     first; million rays per CPU-second of each."""
 
     to_embreex: float
@@ -42,10 +42,10 @@ class CastComparison:
 def compare_cast(buildings: pa.Table, terrain: Terrain, size_m: float, num_slow: int) -> CastComparison:
     """The same rays by this cast and by its peers.
 
-    embreex gets the same rays in the same chunks and all triangles, the terrain's too, and answers in float32;
-    this cast asks it for the buildings' triangles only, finds the terrain itself and locates every point in
-    float64. trimesh gets ``num_slow`` of the rays in one call, with its default arguments, which return all
-    hits of a ray.
+    embreex gets the same rays in the same chunks and all triangles, also those of the terrain, and answers in float32;
+    this cast passes only the triangles of buildings to Embree, finds the terrain itself and locates every point in
+    float64. trimesh gets ``num_slow`` of the rays in one call, with its default arguments, which return all hits of a
+    ray.
     """
     scan = scans.simulate(buildings, terrain, TILE, size_m, settings())
     surface = build_surface(buildings, terrain, scan.origin_m, settings())
@@ -140,7 +140,7 @@ def _trimesh_speeds(
 
 
 def compare_crop(buildings: pa.Table, cloud: Cloud, num_points: int) -> tuple[float, bool]:
-    """Speed of the crop over that of shapely's dwithin, and whether their results are equal.
+    """Speed of the crop divided by the speed of shapely's dwithin, and whether their results are equal.
 
     shapely gets ``num_points`` points in a strip of the scene.
     """

@@ -101,7 +101,7 @@ def _walls_and_roofs(
         eave = np.percentile(above[on_roof], 5)
         x, y = cloud.x_m[index], cloud.y_m[index]
         ring = np.asarray(shape.exterior.coords)[:, :2]
-        edges = shapely.linestrings(np.stack([ring[:-1], ring[1:]], 1))
+        edges = np.asarray(shapely.linestrings(np.stack([ring[:-1], ring[1:]], 1)))
         below = np.flatnonzero((above > 1) & (above < eave - 0.7) & is_solid)
         away = np.ones((0, len(edges)))
         if len(below):

@@ -76,8 +76,8 @@ def make_buildings(num: int, size_m: float, seed: int = 0) -> pa.Table:
         if kind == "wing":
             corners = [(-a, -b), (a, -b), (a, 0), (0, 0), (0, b), (-a, b)]
         shape = shapely.affinity.rotate(shapely.Polygon(corners), rng.uniform(0, 360), origin=(0, 0))
-        middle = x_min + (k % side + 0.5) * step, y_min + (k // side + 0.5) * step
-        shapes.append(shapely.affinity.translate(shape, *middle))
+        centre = x_min + (k % side + 0.5) * step, y_min + (k // side + 0.5) * step
+        shapes.append(shapely.affinity.translate(shape, *centre))
         angles.append(
             {"gable": [90.0, slope, 90.0, slope], "flat": [0.0] * 4}.get(kind, [slope] * len(corners))
         )
@@ -116,10 +116,8 @@ def footprints(buildings: pa.Table) -> Polygons:
 
 def as_cloud(scan: scan_module.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
     """What the stage crops reads from the file of a scan: the cloud, building id and face id per point."""
-    xyz = [scan.points.xyz_mm[:, i] * 0.001 for i in range(3)]
-    for column, origin in zip(xyz, scan.origin_m, strict=True):
-        column += origin
-    cloud = Cloud(*xyz, las_classes(scan.points.face), CRS)
+    x_m, y_m, z_m = (scan.points.xyz_mm[:, i] * 0.001 + scan.origin_m[i] for i in range(3))
+    cloud = Cloud(x_m, y_m, z_m, las_classes(scan.points.face), CRS)
     return cloud, scan.points.building, scan.points.face
 
 

@@ -1,7 +1,7 @@
 """Real places, simulated again with the same footprints, terrain, flight lines and densities.
 
-Clouds of different flights differ most by the angle from which they see walls. Here that is the same, so what
-differs is due to the model. Used by lidar_realism.py.
+Clouds of different flights differ most by the angle from which they see walls. Here this angle is the same, so
+differences are due to the model. Used by lidar_realism.py.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def simulate_again(laz: Path, dtm: Path, cloud: Cloud, shapes: np.ndarray, clutt
     surface = build_surface(buildings, terrain, origin, settings)
     surface, _ = add_clutter(surface, local_buildings(buildings, origin, 0), clutter)
     z_low, z_high = surface.z_range_m()
-    box = Box(*(low - origin[:2]), *(high - origin[:2]), z_low - 0.1, z_high + 0.1)
+    (x_low, y_low), (x_high, y_high) = low - origin[:2], high - origin[:2]
+    box = Box(x_low, y_low, x_high, y_high, z_low - 0.1, z_high + 0.1)
     strips, angle_deg = _strips_of_file(laz, origin, box, plan(settings, 0, box, box).strips[0])
     points, _ = cast(surface, strips, box)
     x, y, z = (points.xyz_mm[:, i] / 1000 + origin[i] for i in range(3))
@@ -70,7 +71,7 @@ def simulate_again(laz: Path, dtm: Path, cloud: Cloud, shapes: np.ndarray, clutt
 
 
 def wall_depths_m(cloud: Cloud, shapes: np.ndarray) -> np.ndarray:
-    """Distance of the points below the eaves to their footprint's edge, those up to 1 m, float64 (n,).
+    """Distances up to 1 m of points below the eaves from the edge of their footprint, float64 (n,).
 
     Below the eaves: 1 m above the ground or more, 0.7 m below the 5th percentile of the roof's points.
     """
@@ -110,7 +111,7 @@ def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
                 "tile": "twin",
                 "in_tile": True,
                 "status": "ok",
-                "eave_height_m": np.float32(eave_m),
+                "eave_height_m": np.array(eave_m, np.float32),
                 "eave_height_source": "hauteur",
                 "terrain_z_m": ground,
                 "base_z_m": ground - 1,
@@ -126,8 +127,8 @@ def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
 def _strips_of_file(laz: Path, origin: np.ndarray, box: Box, model: Strip) -> tuple[list[Strip], np.ndarray]:
     """The strips of a file, estimated from the scan angles of its points; and these angles in degrees.
 
-    The tangent of the angle grows with the distance to the right of the track: by one per altitude. What the
-    file does not show is as in ``model``.
+    The tangent of the angle grows with the distance to the right of the track: by one per altitude. What the file does
+    not show is taken from ``model``.
     """
     las = laspy.read(laz)
     is_fine = "scan_angle" in las.point_format.dimension_names
@@ -157,7 +158,7 @@ def _strips_of_file(laz: Path, origin: np.ndarray, box: Box, model: Strip) -> tu
             start_y_m=float(start[1]),
             heading_rad=float(np.arctan2(ahead[1], ahead[0])),
             duration_s=_LENGTH_M / speed,
-            # of all the angles swept, the place gets those of its own distance from the track
+            # the place gets only the pulses at angles of its own distance from the track
             pulse_rate_hz=float(density * speed * 2 * half_angle * altitude_m * (1 + middle**2)),
             scan_rate_hz=float(np.sqrt(density) * speed),
             knots=np.tile(np.concatenate([np.zeros(3), rotation]), (int(_LENGTH_M / speed / 0.05) + 3, 1)),

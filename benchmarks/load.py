@@ -7,8 +7,8 @@ Needs ``delft_ahn3``, which is not part of the project.
 
 The area is the cloud of Delft (AHN3) and its 74 footprints, repeated on a grid, one LAZ file per row of the grid. Each
 run of the command is a process of its own: 1 copy, 4 copies, one tile of the large area with ``--tile``, again 1 and 4
-copies, and all copies. Measured are the peak memory of the process and its children, and CPU time per building: of
-the whole process, and without what the run of one copy takes (start of the program, network).
+copies, and all copies. Measured are the peak memory of the process and its children, and the CPU time per building: for
+the whole process, and without the CPU time of the run of one copy (start of the program, network).
 
 Whether a building is the same in every copy: coordinates are multiples of 2**-10 m and copies are moved by whole
 metres, so that the movement is exact in binary numbers. Each copy of a building must then have the same attributes and
@@ -43,11 +43,11 @@ from p2wss.data.tiling import tiles_of_points
 from p2wss.mesh.repair import SCALE_M as CITYJSON_SCALE_M
 
 NUM_COPIES, NUM_SMALL = 106, 4
-# a multiple of the squares of 8 m whose lowest points are the ground where none is seen
+# a multiple of 8 m, the side of the squares whose lowest points are the ground where no ground is seen
 SPACING_M = 320
 SCALE_M = 2.0**-10
 MAX_MB, MAX_RATIO = 2000.0, 1.2
-# getrusage is of no use for memory: its figure begins with that of the parent
+# getrusage does not tell the memory: its figure starts with the memory of the parent
 WRAPPER = """
 import os, sys
 from p2wss import cli
@@ -70,7 +70,7 @@ class Run:
 
 
 def moves_m(num_copies: int) -> list[tuple[int, int]]:
-    """How far each copy is moved, on a grid that is about square."""
+    """The movement of each copy, metres, on a grid that is about square."""
     width = math.ceil(math.sqrt(num_copies))
     return [(SPACING_M * (i % width), SPACING_M * (i // width)) for i in range(num_copies)]
 
@@ -107,7 +107,7 @@ def write_area(place: Path, num_copies: int, folder: Path) -> tuple[gpd.GeoDataF
 
 def reconstruct(area: Path, name: str, *options: str) -> Run:
     """One run of the command on the area in a folder, with default formats. Its outputs and figures go to ``name``
-    beside that folder, and a run that has been made is not repeated."""
+    beside that folder. A run that has been made before is not repeated."""
     folder = area.parent / name
     out, done = folder / "out", folder / "done"
     if not done.exists():
@@ -116,8 +116,8 @@ def reconstruct(area: Path, name: str, *options: str) -> Run:
         inputs = [area / "clouds", area / "footprints.gpkg", out, "--crs", "EPSG:28992"]
         command = [sys.executable, "-c", WRAPPER, folder / "peak", "reconstruct", *inputs, *options]
         with (folder / "log").open("w", encoding="utf-8") as log:
-            process = subprocess.Popen(command, stderr=log)
-            tree_kb = 0
+            process = subprocess.Popen(list(map(str, command)), stderr=log)
+            tree_kb = 0.0
             while process.poll() is None:
                 tree_kb = max(tree_kb, sum(map(rss_kb, tree(process.pid))))
                 time.sleep(0.1)
@@ -156,7 +156,8 @@ def rss_kb(process: int) -> int:
 
 
 def buildings(sequence: Path) -> dict[str, Any]:
-    """What is written of each building: its attributes, faces, and the vertices in whole units of the file's scale."""
+    """The written content of each building: its attributes, faces, and the vertices in whole units of the file's
+    scale."""
     with sequence.open(encoding="utf-8") as file:
         transform = json.loads(next(file))["transform"]
         origin = np.round(np.divide(transform["translate"], transform["scale"])).astype(np.int64)
@@ -169,7 +170,7 @@ def buildings(sequence: Path) -> dict[str, Any]:
 
 
 def num_different(written: dict[str, Any], num_copies: int) -> int:
-    """How many buildings are not those of the first copy, moved."""
+    """The number of buildings that differ from the moved building of the first copy."""
     count = 0
     for number, move in enumerate(moves_m(num_copies)):
         moved = np.round(np.array([*move, 0]) / CITYJSON_SCALE_M).astype(np.int64)

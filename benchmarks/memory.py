@@ -6,9 +6,9 @@
 Needs torch and the crops of the miniature.
 
 The large data sets are copies of the miniature's shards with other tiles. predict, fit, the baselines and measure run
-on the miniature and on a group of 16 shards, of which 20 times the miniature has five; the parts of the other groups
-are copies of it. merge and report run on all of it. The 430,000 buildings (the paper's test) have clouds of 40 points,
-which keeps the files small: of these only the report reads any, and of a few buildings. The last line is JSON.
+on the miniature and on one group of 16 shards. 20 times the miniature has five such groups; the parts of the other four
+are copies. merge and report run on everything. The 430,000 buildings (the paper's test) have clouds of 40 points, which
+keeps the files small: only the report reads such clouds, and only a few of them. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ NUM_COPIES, NUM_PER_GROUP, NUM_BUILDINGS, NUM_POINTS = 20, 4, 430_000, 40
 MAX_RATIO, MAX_MIB = 1.5, 4096
 WITH_NETWORK = ("point2wss", "masked")
 METHODS = (*WITH_NETWORK, "fit", "lod1", "constant")
-# the least that has any meaning: memory is that of the points and meshes, not of the samples on them
+# small numbers of samples: the memory is used by points and meshes, not by the samples on them
 CONFIG = json.dumps({"eval": {"baselines": ["lod1", "constant"], "num_samples": 256, "max_num_points": 256}})
-# getrusage is of no use: its figure begins with the memory of the parent
+# getrusage does not tell the memory: its figure starts with the memory of the parent
 WRAPPER = """
 import sys
 from p2wss import cli
@@ -55,9 +55,12 @@ class Evaluation:
         self.folder = folder
         self.peak_mib: dict[str, float] = {}
 
-    def run(self, name: str, *words: object, config: str = CONFIG) -> None:
+    def run(self, name: str, *words: object, config: str | None = CONFIG) -> None:
+        """Run a command. config: None for a command without settings."""
         peak = self.folder / "peak"
-        command = [sys.executable, "-c", WRAPPER, peak, *words, "--config", config]
+        command = [sys.executable, "-c", WRAPPER, peak, *words]
+        if config is not None:
+            command += ["--config", config]
         run = subprocess.run(list(map(str, command)), cwd=ROOT, capture_output=True, text=True)
         if run.returncode:
             raise SystemExit(f"{name}:\n{run.stderr}")
@@ -66,9 +69,10 @@ class Evaluation:
         print(f"{self.folder.name}: {name} {mib:.0f} MiB", flush=True)
 
     def evaluate(self, manifest: Path, shards: list[Path], part: Path) -> None:
-        """All that the jobs of one group do."""
+        """Run everything that the jobs of one group do."""
         group: list[object] = ["--manifest", manifest, "--shards", *shards]
-        self.run("medians", "eval", "medians", "--manifest", manifest, "--out", self.folder / "medians.json")
+        out = self.folder / "medians.json"
+        self.run("medians", "eval", "medians", "--manifest", manifest, "--out", out, config=None)
         for method in METHODS:
             words: list[object] = ["--method", method, *group, "--out", part / f"{method}.parquet"]
             if method in WITH_NETWORK:
@@ -81,7 +85,7 @@ class Evaluation:
         self.run("measure", "eval", "measure", *group, "--reconstructions", *rows, "--out", out)
 
     def report(self, manifest: Path, parts: list[Path]) -> int:
-        """Report; returns the number of rows of the measures."""
+        """Run the report; returns the number of rows of the measures."""
         measures = [part / "measures.parquet" for part in parts]
         rows = [part / f"{method}.parquet" for part in parts for method in METHODS]
         place = ["--out", self.folder / "report", "--manifest", manifest]
@@ -91,7 +95,7 @@ class Evaluation:
 
 
 def copied(table: pa.Table, copy: int) -> pa.Table:
-    """Rows with another tile: other buildings."""
+    """The rows with another tile, which makes them other buildings."""
     tiles = pa.array([f"{copy:04d}/{tile}" for tile in table["tile"].to_pylist()])
     return table.set_column(table.schema.get_field_index("tile"), table.schema.field("tile"), tiles)
 
@@ -107,9 +111,10 @@ def copy_tables(paths: list[Path], copies: range, out: Path) -> None:
 
 
 def copy_shards(manifest: Manifest, copies: range, folder: Path, thin: bool) -> list[tuple[str, Path]]:
-    """Copies of the shards; thin: of the evaluated buildings only, with a few points of each."""
+    """Copies of the shards. thin: only the buildings that are evaluated, with a few points each."""
     shards = []
-    for path, dataset, _ in manifest.shards:
+    for shard in manifest.shards:
+        path, dataset = shard.path, shard.dataset
         table = files.read_table(path, CROPS)
         if thin:
             table = thinned(table.filter(pa.array(manifest.select(table, dataset, ["test"]))))

@@ -6,9 +6,9 @@ noise that decides which comes first.
 Needs no data.
 
 A draw is a shape (rectangle, L, T, U, H, I, plus, star, regular polygon, frame), turned, moved, with noise of its
-coordinates and with angles of one kind. It fails without a mesh, and also with one that is not closed, not above the
-footprint, not of the angles that were asked for or, of one angle for all edges, not of the volume without noise. The
-last line is JSON.
+coordinates and with angles of one kind. It fails without a mesh, and with a mesh that is not closed, is not above the
+footprint, or has other angles than requested. With one angle for all edges, it also fails if the volume is not the
+volume without noise. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -72,17 +72,17 @@ def _plus(rng: np.random.Generator) -> list[Ring]:
 
 
 def _star(rng: np.random.Generator) -> list[Ring]:
-    num = 2 * rng.integers(3, 17)
+    num = 2 * int(rng.integers(3, 17))
     radius_m = np.where(np.arange(num) % 2 == 0, 10.0, rng.choice([4.0, 6.0, 8.0]))
     return [radius_m[:, None] * _circle(num)]
 
 
 def _regular(rng: np.random.Generator) -> list[Ring]:
-    return [10.0 * _circle(rng.integers(4, 65))]
+    return [10.0 * _circle(int(rng.integers(4, 65)))]
 
 
 def _frame(rng: np.random.Generator) -> list[Ring]:
-    circle = _circle(rng.integers(4, 33))
+    circle = _circle(int(rng.integers(4, 33)))
     return [10.0 * circle, rng.choice([3.0, 5.0, 7.0]) * circle[::-1]]
 
 
@@ -172,7 +172,7 @@ def failures(draws: Draws) -> np.ndarray:
     reason = np.array([Status(code).reason if code else "" for code in meshes.status], dtype=object)
     for name, is_wrong in _wrong(draws, meshes, area_m2).items():
         reason[is_wrong & (reason == "")] = name
-    # roofs of one angle for all edges change with the footprint steadily, others may jump
+    # roofs with one angle for all edges change steadily with the footprint, other roofs may jump
     is_steady = (draws.kind == "uniform") & (reason == "") & (exact.status == 0)
     extent_m = np.sqrt(area_m2)
     change_m3 = np.abs(_volumes(meshes) - _volumes(exact))
@@ -181,7 +181,7 @@ def failures(draws: Draws) -> np.ndarray:
 
 
 def _wrong(draws: Draws, meshes: Meshes, area_m2: np.ndarray) -> dict[str, np.ndarray]:
-    """By the name of each rule, which meshes do not follow it."""
+    """For each rule, by name, the mask of the meshes that break it."""
     num = len(meshes)
     of_triangle = np.repeat(np.arange(num), np.diff(meshes.triangle_offset))
     triangle = meshes.triangle + meshes.vertex_offset[of_triangle][:, None]

@@ -5,12 +5,12 @@
 Needs no data.
 
 Draws the town (``benchmarks/towns.py``), reconstructs it by ``p2wss.reconstruct`` without the network, and
-compares heights on a raster with those of the true roofs. Nothing was chosen on the seed that is the default.
+compares heights on a raster with the true heights. No setting was chosen on the default seed.
 
-* A *false slab* is a part of a roof less than a metre wide, along a neighbour, and a metre above the true roof over at
-  least a metre. A wider one that is so only along its end is *too long*.
-* A roof *above its support* is, over at least a square metre, half a metre above the true roof and all points within a
-  metre.
+* A *false slab* is a part of a roof along a neighbour, less than a metre wide and at least a metre long, that is more
+  than a metre above the true roof. A part of a wider roof face that is so only at its end is *too long*.
+* A roof is *above its support* if, over a disc of a metre, it is half a metre above the true roof and above all points
+  within a metre.
 * A shaft is found where most of it, less half a metre at its sides, is lower than halfway down. A *false shaft* is a
   place, a metre wide and two metres below the true roof, where there is none.
 """
@@ -56,7 +56,8 @@ def _areas(mask: np.ndarray) -> list[np.ndarray]:
 
 
 def _part(area: np.ndarray, height_m: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
-    """The cells around an area whose heights, as those of cells at places (n, 2), are on the plane of the area."""
+    """The cells around an area whose heights lie on the plane of the area's cells. xy_m: (n, 2), places of all
+    cells."""
     place = np.column_stack([xy_m - xy_m[area.ravel()].mean(axis=0), np.ones(len(xy_m))])
     plane = np.linalg.lstsq(place[area.ravel()], height_m[area])[0]
     is_on_plane = np.abs(height_m - (place @ plane).reshape(area.shape)) < _ON_PLANE_M
@@ -64,7 +65,7 @@ def _part(area: np.ndarray, height_m: np.ndarray, xy_m: np.ndarray) -> np.ndarra
 
 
 def _is_wide(mask: np.ndarray) -> bool:
-    """Whether a disc of a metre is within."""
+    """Whether a disc of a metre fits into the mask."""
     return bool(ndimage.binary_erosion(mask, _disc(0.5)).any())
 
 
@@ -83,7 +84,7 @@ class Raster:
 
 
 def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.ndarray) -> dict[str, Any]:
-    """What is wrong with a building. beside: the neighbours' footprints; point_m: the points within the footprint."""
+    """The faults of a building. beside: the neighbours' footprints; point_m: the points within the footprint."""
     raster = Raster(footprint)
     true = raster.heights(truth.solid)
     is_true = np.isfinite(true)
@@ -95,7 +96,7 @@ def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.
         building.attributes["ground_z_m"] - hillside_z_m(*shapely.get_coordinates(footprint).T).mean()
     )
     row["shafts"] = row["found"] = row["false shafts"] = row["slabs"] = row["too long"] = row["above"] = 0
-    # without the cells at walls that the map has elsewhere
+    # leaves out the cells at walls, which the map has elsewhere
     inner = raster.inside & ndimage.binary_erosion(is_true, _disc(0.5))
     shaft = np.zeros(raster.shape, bool)
     if row["kind"] == "shaft":
@@ -136,10 +137,10 @@ def measured(seed: int, folder: Path) -> list[dict[str, Any]]:
     truth = p2wss.read(folder / ROOFS)
     scene = p2wss.reconstruct(folder / LIDAR, folder / FOOTPRINTS, model="none", progress=False)
     scene.write(folder / "out", formats=["cityjsonseq", "gpkg"])
-    shapes = shapely.force_2d(gpd.read_file(folder / FOOTPRINTS).geometry.to_numpy())
+    shapes = np.asarray(shapely.force_2d(gpd.read_file(folder / FOOTPRINTS).geometry.to_numpy()))
     tree = shapely.STRtree(shapes)
     cloud = read_clouds([folder / LIDAR])
-    points = shapely.STRtree(shapely.points(cloud.x_m, cloud.y_m))
+    points = shapely.STRtree(np.asarray(shapely.points(cloud.x_m, cloud.y_m)))
     z_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
     rows = []
     for number, (building_id, true) in enumerate(truth.items()):
@@ -192,7 +193,7 @@ def main() -> int:
         "false shafts", whole["false shafts"] / max(whole["found"] + whole["false shafts"], 1), 0.02
     )
     figures.at_most(
-        "not representable where seen", np.mean([bool(row["not_representable"]) for row in seen]), 0.08
+        "not representable where seen", float(np.mean([bool(row["not_representable"]) for row in seen])), 0.08
     )
     figures.at_most("roofs above their support", whole["above"], 0)
     figures.at_most("ground above the own roof", whole["ground above roof"], 0)

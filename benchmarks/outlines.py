@@ -6,12 +6,12 @@
 
 Delft west: 74 houses of the map, whose roofs are in a cloud of 15 points/m2. Settings were chosen on the western half
 (houses whose centre lies west of the median), so the eastern half is the test, as are the other two places. The map
-does not have all buildings of the cloud, some of which touch its houses: what is near building points more than 1.5 m
-outside the map is not judged (nor is what is more than 2 m from a house). A house above 30 m2 is found if at least half
-of it is within outlines. IoU and vertices are those of the union of outlines around a block, houses of the map that
-touch, for blocks above 30 m2. Houses without points of any class are left out. "IoU with unmapped" is the IoU without
-leaving anything else out within these 2 m. Points to mesh: of the outlines above 30 m2 that are at least half on houses
-of the map; the others, many of them cut by the edge of the cloud, are in the row "p2m".
+lacks some buildings of the cloud, which may touch its houses. So the surroundings of building points more than 1.5 m
+outside the map are not judged, nor is anything more than 2 m from a house. A house above 30 m2 is found if at least
+half of it is within outlines. IoU and vertices compare a block, houses of the map that touch, with the union of the
+outlines around it, for blocks above 30 m2. Houses without points of any class are left out. "IoU with unmapped" also
+counts what the map lacks, within these 2 m. Points to mesh: of the outlines above 30 m2 that are at least half on
+houses of the map; the other outlines, many of them cut by the edge of the cloud, are in the row "p2m".
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ TOUCH_M = 0.1
 STRAIGHT_M = 0.05
 # outlines are judged this far around a block
 AROUND_M = 2.0
-# building points at least this far from the map are of buildings that it lacks
+# building points at least this far from the map belong to buildings that the map lacks
 UNMAPPED_M = 1.5
 BARS = {"found": 0.95, "iou": 0.88, "vertices": 1.3, "p2m": 0.18}
 
@@ -68,14 +68,14 @@ def vertices(shape: shapely.Geometry) -> np.ndarray:
 
 
 def unmapped(houses: np.ndarray, cloud: Cloud) -> shapely.Geometry:
-    """Where the cloud has buildings that the map lacks, with their surroundings."""
+    """The areas of buildings in the cloud that the map lacks, with their surroundings."""
     is_roof = cloud.classification == BUILDING_CLASS
     xy_m = np.column_stack([cloud.x_m[is_roof], cloud.y_m[is_roof]])
     everything = shapely.union_all(houses)
     shapely.prepare(everything)
-    point = shapely.points(xy_m)
+    point = np.asarray(shapely.points(xy_m))
     beyond = point[~shapely.dwithin(everything, point, UNMAPPED_M)]
-    # with points less than 1 m apart, at least 1 m wide
+    # areas at least 1 m wide with points less than 1 m apart
     area = shapely.union_all(shapely.buffer(beyond, 0.6, quad_segs=2)).buffer(-0.6).buffer(-0.4).buffer(0.4)
     return area.buffer(UNMAPPED_M + 0.2).difference(everything)
 
@@ -112,14 +112,15 @@ def compared(houses: np.ndarray, outlines: np.ndarray, ignored: shapely.Geometry
 
 
 def _of_whole_outlines(block: shapely.Geometry, outlines: np.ndarray) -> float:
-    """IoU of a block and the union of the outlines that lie on it by at least half, whole and wherever they go on."""
+    """IoU of a block and the union of the outlines that lie on it by at least half, including their parts far from the
+    block."""
     share = shapely.area(shapely.intersection(outlines, block)) / shapely.area(outlines)
     union = shapely.union_all(outlines[share >= 0.5])
     return float(union.intersection(block).area / union.union(block).area)
 
 
 def measures(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """found, iou and vertices of these rows."""
+    """found, iou, vertices and so on of these rows."""
     blocks = [row for row in rows if row["kind"] == "block"]
     houses = [row for row in rows if row["kind"] == "house"]
     return {
@@ -134,7 +135,7 @@ def measures(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def judged(features: Features, cloud: Cloud, place: Place, judge: Path, houses: np.ndarray) -> dict[str, Any]:
-    """Solids on the outlines: their number, which are closed, points to mesh by the judge."""
+    """Solids on the outlines: their number, how many are closed, points to mesh by the judge."""
     config = Config()
     cleaned = clean_footprints(features, footprint_settings(config))
     results = run(cleaned, cloud, None, "tile", config.reconstruct)
@@ -165,7 +166,7 @@ def judged(features: Features, cloud: Cloud, place: Place, judge: Path, houses: 
 
 def is_closed(result: Result) -> bool:
     """Whether each edge of the mesh is in two triangles, in opposite directions."""
-    triangle = result.reconstruction.mesh.triangle
+    triangle = result.reconstruction.placed_mesh.triangle
     edges = np.concatenate([triangle[:, [0, 1]], triangle[:, [1, 2]], triangle[:, [2, 0]]])
     forward, count = np.unique(edges, axis=0, return_counts=True)
     backward = np.unique(edges[:, ::-1], axis=0)

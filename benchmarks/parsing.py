@@ -1,4 +1,4 @@
-"""CPU time of a dry run of the miniature: what every job of a cluster pays again, for each parses the Snakefile.
+"""CPU time of a dry run of the miniature. Every job of a cluster pays it again, as each job parses the Snakefile.
 
     python benchmarks/parsing.py
 
@@ -25,8 +25,8 @@ BAR_S = 3.0
 
 
 def cpu_seconds_of(command: list[str], folder: Path) -> float:
-    """CPU time of a program and of those that it waits for, user and system; the median of a few runs after one
-    that is not measured."""
+    """User and system time of a program and of the processes that it waits for; the median of a few runs after one that
+    is not measured."""
     environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
     seconds = []
     for _ in range(1 + REPEATS):

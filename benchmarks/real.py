@@ -47,7 +47,7 @@ SETS = {
 }
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh", "tri": "triangles"}
 TIMES = {"cpu_ms": "CPU ms each"}
-# by data set and variant; "default" has no option
+# bars by data set and variant; the variant "default" has no option
 BARS: dict[str, dict[str, dict[str, float]]] = {
     "delft": {
         "parametric": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
@@ -187,7 +187,7 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
 
 
 def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
-    """Every row by its title, and each figure that has a bar by the title of its row and its own name."""
+    """Add every row by its title, and each figure with a bar by the title of its row and its own name."""
     figures = Figures()
     for title, row in rows.items():
         figures.row(title, row)
@@ -197,7 +197,7 @@ def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
             figures.at_least(f"{title}, closed", row["watertight"], 1.0)
             figures.at_least(f"{title}, meshes", row["meshes"], row["buildings"])
         for key, limit in bars.items():
-            # the bars of the network alone are those of the training
+            # bars of the network alone are bars of the training
             if key in row and title != f"simulated, {NETWORK}":
                 figures.at_most(f"{title}, {NAMES.get(key, key)}", row[key], limit)
     return figures

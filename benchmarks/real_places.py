@@ -38,7 +38,7 @@ def places(folder: Path) -> dict[str, Place]:
 
 
 def judged_file(judge: Path, city_json: Path, footprints: Path, clouds: Sequence[Path]) -> dict[str, Any]:
-    """What the judge says of a CityJSON file: a ``summary``, and ``rows``, one per building."""
+    """The judge's result for a CityJSON file: a ``summary``, and ``rows``, one per building."""
     command = [sys.executable, judge, city_json, footprints, *clouds, "--json"]
     completed = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
     judged: dict[str, Any] = json.loads(completed.stdout)
@@ -48,7 +48,7 @@ def judged_file(judge: Path, city_json: Path, footprints: Path, clouds: Sequence
 def judged_rows(
     judge: Path, results: Sequence[Result], place: Place, footprints: Path | None = None
 ) -> list[dict[str, Any]]:
-    """What the judge says of reconstructions, one row per building. footprints: others than those of the place."""
+    """The judge's rows for reconstructions, one per building. footprints: in place of the footprints of the place."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "reconstructions.city.jsonl"
         path.write_text(

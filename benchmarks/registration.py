@@ -6,14 +6,18 @@
 
 Needs data and the judge, which are not part of the project.
 
-Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed and
-judged against the footprints and points in place, in two halves (every second building by id). Then all are moved by
-one vector of 1.5 m, give or take 15 cm per block. Thresholds were chosen on Delft with the seeds 0 to 29, so the seeds
-from 30 are the test, of both halves. Deviations: 1,000 blocks moved at random by 0.5 to 1.5 m. Few points: blocks of
-six places, in place, and moved by 0.5 to 1.5 m, with all points, half of them, and a seventh; the rules were chosen
-with the seeds 100 to 103. Missed roofs: the same, with all points, of which a share of those on roofs is unclassified.
-Classes removed: the same, with the classes of p2wss itself. Sheds: squares of 2 to 6 m at random places of three clouds
-where there is no building must stay. ``--data`` and the judge are those of ``real.py``.
+* Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed
+  and judged against the footprints and points in place, in two halves (every second building by id). Then all blocks
+  are moved by one vector of 1.5 m, with normal deviations of 15 cm. Thresholds were chosen on Delft with the seeds 0 to
+  29, so the seeds from 30 are the test, of both halves.
+* Deviations: 1,000 blocks moved at random by 0.5 to 1.5 m.
+* Few points: blocks of six places, in place, and moved by 0.5 to 1.5 m, with all points, half of them, and a seventh;
+  the rules were chosen with the seeds 100 to 103.
+* Missed roofs: the same with all points, a share of the roof points being unclassified.
+* Classes removed: the same with the classes that p2wss itself finds.
+* Sheds: squares of 2 to 6 m, at random places of three clouds without a building, must stay.
+
+``--data`` and the judge are those of ``real.py``.
 """
 
 from __future__ import annotations
@@ -46,14 +50,15 @@ from p2wss.skeleton.types import Polygons
 from p2wss.storage.features import Features
 
 SHIFTS_M = (0.5, 1.0, 1.5)
-# how much worse than in place: with footprints moved, with footprints in place
+# how much worse than in place a measure may be: for moved footprints, for footprints in place
 BARS = {"p2m": (0.02, 0.003), "roof": (0.03, 0.003), "cd": (None, 0.003)}
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh"}
 REMAINING_M, CPU_MS, SHEDS = 0.15, 3.0, 40
-# of blocks of a map that is off everywhere; blocks whose deviation is tested, and the share that holds
+# deviation between the blocks of a map that is off everywhere; number of blocks whose deviation is tested; least share
+# within two deviations
 SPREAD_M, NUM_DRAWN, WITHIN = 0.15, 1000, 0.95
 TOWN_NOISE_M = (0.0, 0.2)
-# places and shares of their points; from how far on a block counts as left where it was
+# places and shares of their points; distance in metres from which a block counts as left where it was
 SPARSE = ("delft_ahn3", "bresse_ign", "nyc_roofn3d", "trondheim", "dallas", "adelaide")
 SHARES, LEFT_M = (1.0, 0.5, 0.15), 0.3
 MISSED_SHARES = (0.0, 0.3, 0.6)
@@ -69,9 +74,9 @@ def read(place: Place) -> tuple[gpd.GeoDataFrame, Cloud]:
 def moved(
     features: Features, length_m: float, seed: int, noise_m: float = 0.0, spread_m: float | None = None
 ) -> tuple[Features, np.ndarray, np.ndarray]:
-    """(features, vector and block of each): each block moved by a vector of that length, and each vertex by
-    noise, the same for all footprints that share it. spread_m: with one, all blocks have the same direction, and a
-    normal deviation of so much."""
+    """(features, vector of each footprint, block of each footprint). Each block is moved by a vector of length
+    ``length_m``, and each vertex by noise, the same in all footprints that share the vertex. spread_m: if given, all
+    blocks are moved in one direction, with this normal deviation."""
     shapes = features.geometry
     block = find_blocks(shapes).of_footprint
     angle = [
@@ -93,7 +98,7 @@ def moved(
 def judged(
     features: Features, cloud: Cloud, place: Place, predictor: Any, judge: Path, **settings: Any
 ) -> dict[str, dict[str, Any]]:
-    """The judge's rows by id. settings: of the section reconstruct that differ from the defaults."""
+    """The judge's rows by id. settings: of the section reconstruct, in place of the defaults."""
     config = Config().reconstruct.model_copy(update=settings)
     results = run_reconstruct(features, cloud, predictor, "tile", config)
     return {row["id"]: row for row in judged_rows(judge, results, place)}
@@ -117,7 +122,7 @@ def of_moved_blocks(
     arguments: argparse.Namespace,
     noise_m: float = 0.0,
 ) -> None:
-    """The table of a place. noise_m: standard deviation of the vertices, with and without a shift."""
+    """Add the table of a place. noise_m: standard deviation of the vertices, with and without a shift."""
     frame, cloud = read(place)
     start, _, _ = moved(frame, 0.0, arguments.seeds[0], noise_m)
     in_place = measures(judged(start, cloud, place, predictor, arguments.judge))
@@ -138,14 +143,16 @@ def of_moved_blocks(
         for half in in_place:
             for key, (bar, bar_in_place) in BARS.items():
                 limit = bar if length_m else bar_in_place
-                worse = np.mean([run[half][key] for run in runs]) - in_place[half][key]
+                worse = float(np.mean([run[half][key] for run in runs])) - in_place[half][key]
                 if limit is None or arguments.off:
-                    figures.row(f"{name}, {half}, {NAMES[key]} worse by", {"value": float(worse)})
+                    figures.row(f"{name}, {half}, {NAMES[key]} worse by", {"value": worse})
                     print(f"{name}, {half}, {NAMES[key]} worse by {worse:.3f}")
                 else:
                     figures.at_most(f"{name}, {half}, {NAMES[key]} worse by", worse, limit)
         if remaining:
-            figures.at_most(f"{name}, median of the remaining shift, m", np.median(remaining), REMAINING_M)
+            figures.at_most(
+                f"{name}, median of the remaining shift, m", float(np.median(remaining)), REMAINING_M
+            )
             spread = {"p90": float(np.quantile(remaining, 0.9)), "max": max(remaining)}
             figures.row(f"{name}, remaining shift", spread)
     if not arguments.off:
@@ -154,7 +161,7 @@ def of_moved_blocks(
 
 
 def of_deviations(figures: Figures, arguments: argparse.Namespace) -> None:
-    """How often a block with evidence is within two stated deviations of where it was."""
+    """Add the share of the blocks with evidence that end within two stated deviations of their true place."""
     for name, place in places(arguments.data).items():
         frame, cloud = read(place)
         within: list[bool] = []
@@ -164,19 +171,23 @@ def of_deviations(figures: Figures, arguments: argparse.Namespace) -> None:
             rows = register(result, cloud)[1]
             for b in range(block.max() + 1):
                 row = int(np.flatnonzero(block == b)[0])
-                if rows[row].shift_sd_m is not None:
+                shift_sd_m = rows[row].shift_sd_m
+                if shift_sd_m is not None:
                     left_m = float(np.linalg.norm(vector[row] + rows[row].shift_m))
-                    within.append(left_m <= 2 * rows[row].shift_sd_m)
+                    within.append(left_m <= 2 * shift_sd_m)
             num_drawn, seed = num_drawn + int(block.max()) + 1, seed + 1
         figures.row(f"{name}, moved at random", {"drawn": num_drawn, "with evidence": len(within)})
         if name == "delft":
-            figures.at_least(f"{name}, moved at random, within two deviations", np.mean(within), WITHIN)
+            figures.at_least(
+                f"{name}, moved at random, within two deviations", float(np.mean(within)), WITHIN
+            )
 
 
 def of_few_points(figures: Figures, arguments: argparse.Namespace) -> None:
-    """What registration does to blocks in place, and to blocks that are moved, where points are few.
+    """Add what registration does to blocks in place, and to moved blocks, where points are few.
 
-    A block in place is moved falsely if it is not moved with all points, or elsewhere: it may be truly displaced.
+    The shift with all points counts as true. A block in place is moved falsely if it is moved to another place than
+    that: the footprint may be displaced.
     """
     num_false = num_runs = 0
     within: list[bool] = []
@@ -212,8 +223,8 @@ def of_few_points(figures: Figures, arguments: argparse.Namespace) -> None:
 def registered_blocks(
     frame: gpd.GeoDataFrame, cloud: Cloud, known: np.ndarray, length_m: float, seed: int
 ) -> list[tuple[float, Registration]]:
-    """(how far each block is off, what was done to it) after it was moved by a vector of this length and registered.
-    known: (footprints, 2), the shifts in place with all points."""
+    """(how far each block is off, its registration) after it was moved by a vector of length ``length_m`` and
+    registered. known: (footprints, 2), the shifts in place with all points."""
     features, vector, block = moved(frame, length_m, seed)
     rows = register(features, cloud)[1]
     first = np.unique(block, return_index=True)[1].tolist()
@@ -221,7 +232,8 @@ def registered_blocks(
 
 
 def of_missed_roofs(figures: Figures, arguments: argparse.Namespace) -> None:
-    """Blocks in place and moved, in clouds whose producer left a share of the roof points unclassified."""
+    """Add the figures of blocks in place and moved, in clouds whose producer left a share of the roof points
+    unclassified."""
     for share in MISSED_SHARES:
         left: list[bool] = []
         within: list[bool] = []
@@ -248,7 +260,7 @@ def of_missed_roofs(figures: Figures, arguments: argparse.Namespace) -> None:
 
 
 def of_own_classes(figures: Figures, arguments: argparse.Namespace) -> None:
-    """Blocks in place, and moved by 1 m and more, in clouds whose classes are removed."""
+    """Add the figures of blocks in place, and moved by 1 m and more, in clouds whose classes are removed."""
     counts = dict.fromkeys(("in place", "in place and moved", "displaced", "displaced and left"), 0)
     for name in (*SPARSE, *UNCLASSIFIED):
         folder = arguments.data / name
@@ -271,7 +283,9 @@ def of_own_classes(figures: Figures, arguments: argparse.Namespace) -> None:
 
 def town(folder: Path, num_buildings: int) -> Place:
     """The first footprints of a town that lie within its cloud, with their neighbours, in a file beside it."""
-    cloud = next(folder.glob("lidar/*.laz"))
+    cloud = next(folder.glob("lidar/*.laz"), None)
+    if cloud is None:
+        sys.exit(f"{folder}: no town with LiDAR; see the top of this file for the command")
     source = next(folder.glob("bdtopo/*.gpkg"))
     points = clouds.read_clouds([cloud])
     frame = footprints.read_footprints(source).to_frame()
@@ -283,7 +297,7 @@ def town(folder: Path, num_buildings: int) -> Place:
 
 
 def of_sheds(figures: Figures, arguments: argparse.Namespace) -> None:
-    """Footprints where there is no building, beside those where there are."""
+    """Add the figures of footprints at places without a building, beside footprints of buildings."""
     num_sheds = num_moved = 0
     for name, place in places(arguments.data).items():
         frame, cloud = read(place)

@@ -39,7 +39,7 @@ NUMBER = r"\d[\d.,]*"
 
 
 class Figures(dict[str, Any]):
-    """Figures by their keys, several of which can be shown at once; of a figure beside a bar, the value is shown.
+    """Figures by their keys. Several figures can be shown at once; a figure with a bar is shown by its value.
 
     >>> "{:roof .2f, tri .0f}".format(Figures(roof=0.237, tri=Figures(value=43.6, bar=40)))
     '0.24, 44'
@@ -124,7 +124,7 @@ def record(name: str, modules: list[str], table: Path | None, command: list[str]
 
 
 def age() -> None:
-    """Print which figures were measured with the code as it is."""
+    """Print which figures were measured with the present code."""
     from p2wss.storage.provenance import fingerprint
 
     for name, document in stored().items():

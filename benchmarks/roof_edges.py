@@ -14,7 +14,7 @@ from p2wss.mesh.topology import NEXT, unit_normals
 
 # an exact roof has at most this share of false edges, and of missing ones
 EXACT = 0.02
-# how far beside an edge its step is measured, and the normals of a wall
+# distance beside an edge at which its step is measured; limit of z of the normals of walls
 _BESIDE_M, _WALL_NZ = 0.02, 0.05
 # what an edge is
 OUTER, HIGH_STEP, STEP, LOW_STEP, FOLD, LOW_FOLD = (
@@ -29,8 +29,8 @@ EDGE_KINDS = (HIGH_STEP, STEP, LOW_STEP, FOLD, LOW_FOLD, OUTER)
 
 
 def kinds(mesh: Mesh, edges: RoofEdges) -> np.ndarray:
-    """Of each edge, from ``EDGE_KINDS``: a fold between two roofs, or it borders on a wall, which is an outer wall or a
-    step by its height there."""
+    """The kind of each edge, from ``EDGE_KINDS``: a fold between two roofs, or an edge at a wall. The height of the
+    wall there tells whether it is an outer wall or a step."""
     own, other = edges.side // 3, mesh.twin.ravel()[edges.side] // 3
     normal = unit_normals(mesh.corner_m)
     vertex = np.stack([mesh.triangle, mesh.triangle[:, NEXT]], axis=-1).reshape(-1, 2)[edges.side]
@@ -58,8 +58,8 @@ def _step_m(mesh: Mesh, vertex: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Structure:
-    """How the edges of a roof differ from the true ones. Lengths in metres; corners: found within 0.5 m, built, true.
-    false_by_kind_m: by ``EDGE_KINDS``."""
+    """How the edges of a roof differ from the true ones. Lengths in metres. Numbers of corners: found within 0.5 m,
+    built, true. false_by_kind_m: by ``EDGE_KINDS``."""
 
     false_m: float
     edges_m: float
@@ -79,7 +79,7 @@ def structure(mesh: Mesh, true_mesh: Mesh) -> Structure:
     found, true = roof_edges(mesh), roof_edges(true_mesh)
     is_false, is_missing = far_samples(found, true)
     distance_m = np.linalg.norm(true.corner_m[:, None] - found.corner_m, axis=2)
-    # beyond 5 m, no corner is a pair for any other
+    # corners more than 5 m apart are no better a pair than any others
     row, column = linear_sum_assignment(np.minimum(distance_m, 5.0))
     num_found = int((distance_m[row, column] < NEAR_M).sum())
     kind = kinds(mesh, found)[found.sample_m[1]]

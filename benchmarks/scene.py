@@ -8,8 +8,8 @@ Usage::
 Needs data that are not part of the project.
 
 ``--data`` holds ``delft_ahn3`` (74 row houses) and ``olemps_bdtopo`` (2,273 footprints of a village). Every measure
-takes the same scene and adds its figures; :data:`MEASURES` lists them. What the input footprints share is measured in
-the same way as what the output shares.
+takes the same scene and adds its figures; :data:`MEASURES` lists the measures. Party walls are measured in the same way
+in the input and in the output.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def read(data: Path, model: Path | None) -> Scene:
 
 def outline(row: Reconstruction) -> shapely.Geometry:
     """The polygon of a building's ground faces in the CRS."""
-    xy_m = row.placed_mesh.vertex_m[:, :2]
-    corner = xy_m[row.mesh.triangle[row.mesh.kind == FaceKind.GROUND]]
+    mesh = row.placed_mesh
+    corner = mesh.vertex_m[:, :2][mesh.triangle[mesh.kind == FaceKind.GROUND]]
     return shapely.union_all(shapely.polygons(corner))
 
 
@@ -124,16 +124,18 @@ def measure_walls(scene: Scene, figures: Figures) -> None:
 
 
 def measure_overlap(scene: Scene, figures: Figures) -> None:
-    """Volume that two buildings both take, and walls that leave their footprint."""
+    """Volume that two buildings share, and walls that leave their footprint."""
     solids = []
     origin = np.array([*np.floor(shapely.bounds(scene.source[0])[:2]), 0.0])
     for row in scene.reconstructions:
-        vertex = row.placed_mesh.vertex_m - origin
-        solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex, row.mesh.triangle.astype(np.uint64))))
+        mesh = row.placed_mesh
+        solids.append(
+            manifold3d.Manifold(manifold3d.Mesh64(mesh.vertex_m - origin, mesh.triangle.astype(np.uint64)))
+        )
     volume = [(solids[i] ^ solids[j]).volume() for i, j in scene.pairs.tolist()]
     figures.row("overlap", {"pairs above 1 litre": int((np.array(volume) > 1e-3).sum())})
     figures.at_most("overlap in m3", float(np.sum(volume)), 0.05)
-    # where the points show open ground in a footprint, walls are around that
+    # walls leave out open ground that the points show in a footprint
     whole = [
         row for row, ground in zip(scene.reconstructions, scene.ground, strict=True) if is_whole(row, ground)
     ]
@@ -146,27 +148,29 @@ def measure_overlap(scene: Scene, figures: Figures) -> None:
 
 
 def is_whole(row: Reconstruction, ground: shapely.Geometry) -> bool:
-    """Whether the floor is all of the footprint but for less than a thousandth."""
+    """Whether the floor covers the footprint, up to a thousandth of its area."""
     return bool(shapely.area(ground) > 0.999 * shapely.Polygon(row.rings[0], row.rings[1:]).area)
 
 
 def off_walls_m(row: Reconstruction) -> float:
     """The largest distance of the mesh's outline from the footprint, and of the footprint from it."""
     footprint = shapely.boundary(shapely.Polygon(row.rings[0], row.rings[1:]))
+    assert row.mesh is not None
     corner = row.mesh.vertex_m[:, :2][row.mesh.triangle[row.mesh.kind == FaceKind.GROUND]]
     ground = shapely.boundary(shapely.union_all(shapely.polygons(corner)))
     return float(shapely.hausdorff_distance(footprint, ground, densify=0.1))
 
 
 def other_corners(row: Reconstruction) -> int:
-    """The number of corners of the footprint at which the mesh has no vertex, but for those within straight edges."""
+    """Number of corners of the footprint at which the mesh has no vertex, without corners on straight edges."""
+    assert row.mesh is not None
     present, result = set(map(tuple, row.mesh.vertex_m[:, :2].tolist())), 0
     for ring in row.rings:
         for before, corner, after in zip(
             np.roll(ring, 1, axis=0), ring, np.roll(ring, -1, axis=0), strict=True
         ):
             off_m = shapely.distance(shapely.Point(corner), shapely.LineString([before, after]))
-            result += tuple(corner.tolist()) not in present and off_m > TOUCH_M
+            result += tuple(corner.tolist()) not in present and bool(off_m > TOUCH_M)
     return result
 
 

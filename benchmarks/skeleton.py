@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,7 @@ def speed(num: int) -> float:
         for regime in REGIMES:
             angle = sample_angles(polygons, regime, 5)
             meshes = build(polygons, angle, eave)
-            build_s = cpu_seconds(lambda p=polygons, a=angle, e=eave: build(p, a, e))
+            build_s = cpu_seconds(partial(build, polygons, angle, eave))
             rate = num / build_s
             if share == 0.0:
                 slowest = min(slowest, rate)
@@ -76,7 +77,7 @@ def speed(num: int) -> float:
 
 
 def against_sfcgal(num: int) -> float:
-    """Speed over that of SFCGAL on the same buildings, both in CPU time."""
+    """Speed divided by the speed of SFCGAL on the same buildings, both in CPU time."""
     polygons = clean(sample_footprints(num, 2))
     angle = sample_angles(polygons, "one", 2)
     eave = np.full(num, 5.0)
@@ -87,7 +88,7 @@ def against_sfcgal(num: int) -> float:
 
 
 def against_compas(num: int) -> float | None:
-    """Speed over that of compas_cgal's roofs, or None where it is not installed."""
+    """Speed divided by the speed of compas_cgal's roofs; None where compas_cgal is not installed."""
     if importlib.util.find_spec("compas_cgal") is None:
         print("compas_cgal is not installed: not compared")
         return None
@@ -173,7 +174,7 @@ def changed_share(polygons: Polygons, angle: np.ndarray, seed: int) -> float:
 
 
 def sensitivity(num: int, real: dict[str, Polygons], figures: Figures) -> float:
-    """The largest such share over the data sets with angles by roof type; prints all regimes."""
+    """The largest :func:`changed_share` over the data sets with angles by roof type; prints all regimes."""
     print(
         "\n1 mm of jitter changes the volume by more than 2 %:\n"
         f"  {'footprints':<28}{'sampler':<12}{'buildings':>10}{'share':>10}"
@@ -276,8 +277,8 @@ def fit_evaluation(num_points: int = 60) -> float:
         out = np.zeros(num_points, np.int64), np.zeros(num_points)
         arguments = n, 1, angle[first:last].copy(), work, query, x, y, *out
         assert _evaluate(1, *arguments) == 0
-        seconds.append(cpu_seconds(lambda a=arguments: _evaluate(200, *a)) / 200)
-    mean, high = 1e6 * np.mean(seconds), 1e6 * np.quantile(seconds, 0.95)
+        seconds.append(cpu_seconds(partial(_evaluate, 200, *arguments)) / 200)
+    mean, high = 1e6 * float(np.mean(seconds)), 1e6 * np.quantile(seconds, 0.95)
     print(
         f"\nset_angles + simulate + _assign, {num_points} points, up to 8 edges: {mean:.1f} us (p95 {high:.1f})"
     )

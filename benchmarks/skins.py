@@ -13,14 +13,14 @@ from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import Skin, skins
 from p2wss.reconstruction.skin.wedges import wedges
 
-# a wedge is looked at from this far away, in this many directions
+# radius of the circle on which the surroundings of a wedge are sampled, and number of directions
 RADIUS_M, DIRECTIONS = 2e-3, 72
-# a wedge is false if this much more than its opening is inside buildings, in one piece of at least half a turn
+# a wedge is false if buildings cover this much more than its opening, in one piece of at least half a turn
 MORE_DEG, FLAT_DEG = 10.0, 175.0
 
 
 def solids_of(rows: Sequence[Reconstruction]) -> dict[str, Mesh]:
-    """The buildings as the export joins them."""
+    """The meshes of the buildings that have one, in the CRS, by id."""
     return {row.building_id: row.placed_mesh for row in rows if row.has_mesh}
 
 
@@ -40,7 +40,7 @@ def measure_skins(rows: Sequence[Reconstruction], figures: Figures) -> None:
     thin = sum(int((smallest_deg(skin.mesh.vertex_m, skin.mesh.triangle) < 1).sum()) for skin in skin_list)
     # a step of centimetres between neighbours is a band of such triangles
     figures.row("triangles below 1 degree", {"of the parts": thin_before, "of the skins": thin})
-    # the same count on the buildings by themselves shows what it finds
+    # the same count on separate buildings shows what it finds
     alone = [part for solid in solids.items() for part in skins(dict([solid]))]
     figures.row("false wedges", {"of the parts": false_wedges(alone)})
     figures.at_most("skins: false wedges", false_wedges(skin_list), 0)
@@ -85,10 +85,10 @@ def smallest_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
 
 
 def false_wedges(skin_list: Sequence[Skin]) -> int:
-    """Convex edges that are no convex edges of the union of all skins.
+    """Number of convex edges that are not convex edges of the union of all skins.
 
-    Around the middle of each, on a circle across it, the places inside any skin are counted by rays upwards. Two skins
-    that touch there in the edge alone leave two pieces of the circle free.
+    On a circle across the middle of each edge, the places inside any skin are counted by rays upwards. Two skins that
+    touch there in the edge alone leave two pieces of the circle free.
     """
     number = 0
     height_of = _Heights(skin_list)
@@ -113,7 +113,7 @@ def false_wedges(skin_list: Sequence[Skin]) -> int:
 
 
 class _Heights:
-    """Which places are inside skins: those with more surfaces above them that face up than down."""
+    """Tells which places are inside skins: above them are more surfaces that face up than surfaces that face down."""
 
     def __init__(self, skin_list: Sequence[Skin]) -> None:
         corner = np.concatenate([skin.mesh.vertex_m[skin.mesh.triangle] for skin in skin_list])

@@ -41,7 +41,7 @@ main(sys.argv[1:])
 
 
 def least(*command: object) -> Run:
-    """The run that needed least CPU time, of a few after one that is not measured."""
+    """The run with the least CPU time, of a few runs after one that is not measured."""
     return min([run(command) for _ in range(1 + REPEATS)][1:])
 
 

@@ -7,8 +7,9 @@ Needs nothing but the package and the control houses of `tests/unit/control_hous
 Drawn are: the CRS of the cloud (metres, feet, degrees, EPSG:3857), how it is stated (WKT 1, WKT 2, GeoTIFF keys, both,
 by --crs or not), the unit of heights and what states it (a tenth of the files state a wrong one), the LAS version;
 format, CRS, layers, rings, ids and heights of footprints; type, scale, unit, data without heights and AREA_OR_POINT of
-a terrain. Each is looked at as `p2wss inspect` does, and compared with the truth by pyproj: `right`; `refused` in one
-line; `told`, wrong where a line says what was assumed or doubted; or `silently wrong`. Some of them are reconstructed.
+a terrain. Each combination is inspected as by `p2wss inspect`, and compared with the truth by pyproj. It is `right`;
+`refused` in one line; `told`: wrong, but a line says what was assumed or doubted; or `silently wrong`. Some are also
+reconstructed.
 The last line is JSON.
 """
 
@@ -48,15 +49,15 @@ VERTICAL = {"m": "EPSG:5703", "ft": "EPSG:8228", "us-ft": "EPSG:6360"}
 UNIT_CODE = {"m": 9001, "ft": 9002, "us-ft": 9003}
 PLANES = ("EPSG:26910", "EPSG:2227", "EPSG:3857", "EPSG:4326")
 RIGHT, REFUSED, TOLD, WRONG = "right", "refused", "told", "silently wrong"
-# of the median over both houses
+# median over both houses
 ROOF_M = 6.34
 SLOPE, CELLS, CELL_M = 0.05, 40, 2.0
 
 
 @dataclass(frozen=True)
 class CloudCase:
-    """plane: its CRS. form: what states it. unit: of heights. stated: the unit that is stated, "" for none. by: what
-    states it."""
+    """A cloud. plane: its horizontal CRS. form: what states the CRS. unit: of heights. stated: the unit that is stated,
+    "" for none. by: what states the unit."""
 
     plane: str
     form: str
@@ -68,7 +69,8 @@ class CloudCase:
 
 @dataclass(frozen=True)
 class FootprintCase:
-    """Of a file: driver, CRS, what is beside its layer, whether rings are reversed, id column, stated heights."""
+    """A file of footprints: format, CRS, layer beside its own, whether rings are reversed, id column, whether heights
+    are stated."""
 
     ending: str
     crs: str
@@ -80,7 +82,8 @@ class FootprintCase:
 
 @dataclass(frozen=True)
 class TerrainCase:
-    """Of a raster: type of values, their unit, what states that, and the value of cells without data."""
+    """A raster: type of values, their unit, what states the unit, the value of cells without data, and
+    AREA_OR_POINT."""
 
     dtype: str
     unit: str
@@ -93,7 +96,7 @@ Case = tuple[CloudCase, FootprintCase, TerrainCase | None]
 
 
 def drawn(rng: np.random.Generator) -> Case:
-    """A combination. Most state the truth; one in ten states another unit of heights."""
+    """A random combination. Most state the truth; one in ten states another unit of heights."""
 
     def one(*values: Any) -> Any:
         return values[int(rng.integers(len(values)))]
@@ -129,7 +132,8 @@ class Files:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.count = folder, 0
-        self.cloud, self.footprints, self.terrain = map(cache, (self._cloud, self._footprints, self._terrain))
+        self.cloud, self.footprints = cache(self._cloud), cache(self._footprints)
+        self.terrain = cache(self._terrain)
 
     def _path(self, ending: str) -> Path:
         self.count += 1
@@ -227,7 +231,7 @@ def options(case: Case) -> tuple[str | None, dict[str, Any]]:
 
 
 def looked_at(case: Case, files: Files) -> tuple[str, str]:
-    """(:data:`RIGHT`, .. of a case, why)."""
+    """(the outcome of a case, such as :data:`RIGHT`; the reason)."""
     cloud, footprints, terrain = case
     crs, settings = options(case)
     raster = None if terrain is None else files.terrain(terrain)
@@ -253,7 +257,7 @@ def looked_at(case: Case, files: Files) -> tuple[str, str]:
     wrong = differences(inputs, facts, features, bool(footprints.id_column))
     if not wrong:
         return RIGHT, ""
-    # cells without data and the accuracy of PROJ say nothing of units or of the place
+    # messages about cells without data and the accuracy of PROJ do not tell about units or the place
     told = [
         line for line in handler.lines if "no ground is at" not in line and "may be displaced" not in line
     ]
@@ -261,7 +265,7 @@ def looked_at(case: Case, files: Files) -> tuple[str, str]:
 
 
 def differences(inputs: Any, facts: dict[str, Any], features: Features, has_ids: bool) -> list[str]:
-    """What differs from the truth, a text each."""
+    """The differences from the truth, one text each."""
     to_run = pyproj.Transformer.from_crs(PLACE, inputs.crs, always_xy=True)
     truths = dict(zip(("gable", "flat"), houses.footprints(PLACE).geometry, strict=True))
     result = []
@@ -297,7 +301,7 @@ def differences(inputs: Any, facts: dict[str, Any], features: Features, has_ids:
 
 
 def built(case: Case, files: Files) -> tuple[str, str]:
-    """The same of a whole run: volumes and eaves."""
+    """The outcome and reason of a case in a whole run; the volumes are compared, too."""
     cloud, footprints, terrain = case
     crs, settings = options(case)
     outcome, why = looked_at(case, files)
@@ -305,7 +309,12 @@ def built(case: Case, files: Files) -> tuple[str, str]:
         return outcome, why
     raster = None if terrain is None else files.terrain(terrain)
     arguments = files.cloud(cloud), files.footprints(footprints)
-    more = {"crs": crs, "terrain": raster, "config": {"reconstruct": settings}, "model": "none"}
+    more: dict[str, Any] = {
+        "crs": crs,
+        "terrain": raster,
+        "config": {"reconstruct": settings},
+        "model": "none",
+    }
     with p2wss.reconstruct(*arguments, progress=False, **more) as scene:
         volumes = sorted(float(each.mesh.volume) for each in scene.values())
     off = np.abs(np.array(volumes) / sorted(houses.VOLUME_M3.values()) - 1)
@@ -320,7 +329,10 @@ def main() -> int:
     parser.add_argument("--whole", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    start, counts, shown, refusals = time.monotonic(), Counter(), Counter(), Counter()
+    start = time.monotonic()
+    counts: Counter[str] = Counter()
+    shown: Counter[str] = Counter()
+    refusals: Counter[tuple[str, str]] = Counter()
     by_part: dict[str, Counter[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         files = Files(Path(folder))
@@ -336,7 +348,7 @@ def main() -> int:
             if outcome == WRONG and shown[key] < 3:
                 shown[key] += 1
                 print(f"{number}: {why}\n    {[astuple(each) for each in case if each is not None]}")
-        whole = Counter()
+        whole: Counter[str] = Counter()
         for number in range(arguments.whole):
             case = drawn(np.random.default_rng([arguments.seed, 1, number]))
             outcome, why = built(case, files)

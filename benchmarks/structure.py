@@ -9,8 +9,8 @@ Needs no data.
 
 Draws the towns of the seeds (``benchmarks/towns.py``), reconstructs them by ``p2wss.reconstruct`` without
 the network, and compares the edges with the true ones, by shape of the house and by kind of edge. The definitions are
-in ``p2wss.eval.metrics.structure``: false and missing edges are further than 0.5 m from any edge of the other; an exact
-roof has less than 2 % of either. Nothing was chosen on the seeds that are the default.
+in ``p2wss.eval.metrics.structure``: false and missing edges are farther than 0.5 m from any edge of the other roof; an
+exact roof has less than 2 % of either. No setting was chosen on the default seeds.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from p2wss.reconstruction.scene import Scene
 from p2wss.towns import FOOTPRINTS
 
 SEEDS = (101, 102)
-# by kind of town: shares of false and of missing edges, and of exact roofs, of which complexes have none
+# bars by kind of town: shares of false edges, of missing edges, and of exact roofs (0: complexes have none)
 BARS = {"wings": (0.03, 0.06, 0.6), "large": (0.03, 0.06, 0.4), "complexes": (0.06, 0.15, 0.0)}
 # points on each house
 FEW = (80, 40, 20, 10)
@@ -51,7 +51,7 @@ def drawn(seed: int, folder: Path, kind: str = "wings") -> Scene:
 
 
 def of_few_points(seed: int, folder: Path) -> dict[int, list[dict[str, Any]]]:
-    """By the number of points on each house, a row per building of a town: its structure and triangles."""
+    """For each number of points on a house, a row per building of a town: its structure and triangles."""
     truth, config = drawn(seed, folder), Config()
     buildings = real.read_files(folder / FOOTPRINTS, [folder / LIDAR], "town", config)
     rows: dict[int, list[dict[str, Any]]] = {}
@@ -87,7 +87,7 @@ def measured(seed: int, folder: Path, kind: str) -> list[dict[str, Any]]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """The figures of some buildings together."""
+    """The figures over all of these buildings."""
     each: list[Structure] = [row["structure"] for row in rows]
     edges_m, true_m = sum(s.edges_m for s in each), sum(s.true_m for s in each)
     found, built, corners = np.sum([s.corners for s in each], axis=0)

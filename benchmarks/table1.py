@@ -5,9 +5,9 @@
 
 Needs torch, and labelled crops of a run of the pipeline.
 
-The crops hold the points up to ``crops.buffer_m`` (1 m) around the true footprint, so that their own border gives the
-footprint away, to a network that was trained on such crops. ``--buffer`` crops the scans of the buildings in the
-manifest again, with another distance. The last line is JSON: each figure with its bar, those of the paper.
+The crops hold the points up to ``crops.buffer_m`` (1 m) around the true footprint. So the border of a crop gives the
+footprint away to a network that was trained on such crops. ``--buffer`` crops the scans of the buildings in the
+manifest again, with another distance. The last line is JSON: each figure with its bar, the figure of the paper.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
 
-# those of the paper, on its own data
+# the figures of the paper, on its own data
 BARS = {"height_m": 0.23, "angle_deg": 2.34, "coordinate_m": 0.41}
 
 
@@ -69,7 +69,7 @@ def errors_of(
 
 
 def errors_in(rows: list[Case], predictor: Any, title: str) -> dict[str, float]:
-    """Mean errors of the buildings that the network can take; prints them, also by number of vertices."""
+    """Mean errors over the buildings that the network supports; prints them, also by number of vertices."""
     rows = [
         case
         for case in rows

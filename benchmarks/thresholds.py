@@ -71,7 +71,7 @@ def of_places(
     places: dict[str, list[Building]], thresholds: Thresholds, arguments: argparse.Namespace
 ) -> dict[str, float]:
     """Points to mesh and triangles of real buildings."""
-    result = {}
+    result: dict[str, float] = {}
     config = Config().reconstruct
     for name, buildings in places.items():
         fits = with_fallback(fitting.fit(buildings, config, thresholds=thresholds), buildings, config)

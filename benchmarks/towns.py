@@ -1,4 +1,4 @@
-"""Draw a town: footprints and terrain as of ``p2wss towns``, stand-in LiDAR, and its true roofs, which are known.
+"""Draw a town: footprints and terrain as with ``p2wss towns``, stand-in LiDAR, and the true roofs.
 
     python benchmarks/towns.py --kind wings --seed 8 --lidar --out FOLDER
 

@@ -8,10 +8,10 @@ Needs torch, no data. ``--completion``: only how fast houses are drawn and descr
 
 ``--config`` can switch ``compute.compile`` on; the completion is always compiled on a GPU.
 
-All speeds are CPU time of one thread, or on a GPU the time that passes. Clouds and footprints are random. The loader's
-share of a step is the time for which it waits for its batch. The fastest step counts for the dvae, the mean for the
-model, whose batches differ. ``--batch`` sets the batch size of both, in float32, for large networks on few cores; with
-it and on a GPU there is no inference.
+All speeds are CPU time of one thread, or wall time on a GPU. Clouds and footprints are random. The loader's share of a
+step is the time for which the step waits for its batch. The fastest step counts for the dvae, the mean for the
+model, whose batches differ. ``--batch`` sets the batch size of both, in float32, for large networks on few cores.
+Inference is not measured with ``--batch`` or on a GPU.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from p2wss.training.dataset import BuildingDataset
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.loop import Task
 from p2wss.training.model import ModelTask
-from p2wss.training.state import TrainingState
+from p2wss.training.state import TrainingState, learning_rate
 
 # numbers of vertices of footprints and their shares, about as in the town of the miniature
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
-# steps on a GPU before those that are measured: code is compiled in them
+# steps on a GPU before the measured ones: code is compiled in them
 _NUM_COMPILING = 8
 # processes that draw for the completion on a GPU
 _NUM_FORKS = 7
@@ -84,8 +84,8 @@ def clock_s(device: torch.device) -> float:
 
 
 def seconds_of_steps(task: Task, optimiser: Optimiser, steps: int) -> tuple[np.ndarray, float]:
-    """Seconds (steps,) of :func:`clock_s` of steps of training, and the share of it that was spent on batches: waiting
-    for them on a GPU, where they are prepared one step ahead."""
+    """Seconds (steps,) of the steps of a training by :func:`clock_s`, and the share of them that was spent on batches.
+    On a GPU, where batches are prepared one step ahead, this is the time of waiting for them."""
     device = next(task.module.parameters()).device
     num_first = 1 if device.type == "cpu" else _NUM_COMPILING
     state = TrainingState(task.module, optimiser)
@@ -106,7 +106,7 @@ def seconds_of_steps(task: Task, optimiser: Optimiser, steps: int) -> tuple[np.n
             state.optimiser.zero_grad(set_to_none=True)
             losses["loss"].backward()
             torch.nn.utils.clip_grad_norm_(task.module.parameters(), 1.0)
-            state.step()
+            state.step(learning_rate(number, optimiser))
             took[number] = clock_s(device) - start
     return took[num_first:], waited[num_first:].sum() / took[num_first:].sum()
 
@@ -135,11 +135,11 @@ def completion_steps(device: torch.device, steps: int) -> float:
 
 
 def inference(config: Config, num: int) -> dict[str, float]:
-    """Buildings per CPU second, one view, and the most memory that this process ever held."""
+    """Buildings per CPU second with one view, and the peak memory of this process."""
     buildings = town(num)
     predictor = Point2WssPredictor(Point2Wss(config.model, config.dvae), num_views=1)
-    clouds = [buildings.cloud_cm(i) * np.float32(0.01) for i in range(num)]
-    rings = [[buildings.ring_m(i)] for i in range(num)]
+    clouds = [buildings.cloud_cm(i) * np.float32(0.01) for i in np.arange(num)]
+    rings = [[buildings.ring_m(i)] for i in np.arange(num)]
     predictor.predict(clouds[:32], rings[:32])
     start = time.process_time()
     predictor.predict(clouds, rings)

@@ -1,4 +1,4 @@
-"""Whether what is written is valid: 20,000 solids on real outlines, tested by rules implemented apart from ours.
+"""Whether written solids are valid: 20,000 solids on real outlines, tested by independent code.
 
     python benchmarks/validity.py [--num 20000] [--footprints FILE]
 
@@ -6,11 +6,11 @@ Needs footprints, which are not part of the project.
 
 Outlines: BD TOPO of Olemps (default: ../shared/data/olemps_bdtopo), or any vector file with polygons. Roofs: as scenes
 draw them, as the paper draws them, and angles from 0 to 90 degrees; the same with courtyards cut out; planes over the
-cells between random lines; and hard ones with planes that are nearly equal and lines that end millimetres beside
-corners. Each goes the way of the product (exact faces, tests, simpler roof) and is written to
-CityJSON; the text is then tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
-product, and by val3dity where it is installed. Solids are then damaged, and p2wss and val3dity are to find the same
-ones invalid. The last line is JSON.
+cells between random lines; and hard cases with planes that are nearly equal and lines that end millimetres beside
+corners. Each solid goes through the steps of the product (exact faces, tests, simpler roof) and is written to
+CityJSON. The text is tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
+product, and by val3dity where it is installed. Then solids are damaged, and p2wss and val3dity must find the same
+solids invalid. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from p2wss.footprints.cleaning import clean_footprints, read_footprints  # noqa:
 from p2wss.mesh.repair import surfaces_to_write  # noqa: E402
 
 COLUMNS = ("solids", "broken before", "simpler", "no mesh", "invalid", "without solid")
-# what is done to solids, and by how many metres
+# kinds of damage to solids, with the range of the distance in metres
 MOVED_M = {
     "moved": (-0.02, 0.02),
     "moved far": (-8.0, 8.0),
@@ -62,7 +62,7 @@ def outlines(path: Path) -> list[Rings]:
 
 
 def solids(rings: list[Rings], num: int) -> Iterator[tuple[str, Reconstruction | None]]:
-    """(kind, building or None where it has no solid), in turns, so that any number has all kinds."""
+    """(kind, building or None if it has no solid). The kinds take turns, so that any number of solids has all kinds."""
     kinds = [*REGIMES, "courtyards", "planes", *REGIMES, "hard", *REGIMES]
     draw, count = 0, 0
     while count < num:
@@ -89,7 +89,8 @@ def _solid(kind: str, name: str, outline: Rings, seed: int) -> Reconstruction | 
 
 
 def damaged(text: str, num: int) -> str:
-    """CityJSON text sequences of ``num`` of the solids in some, each with one fault, or with one that is too small."""
+    """CityJSON text sequences of ``num`` random solids of ``text``, each with one fault, which may be too small to
+    count."""
     head, *features = text.splitlines()
     rng = np.random.default_rng(0)
     lines = [head]
@@ -128,7 +129,7 @@ def damaged(text: str, num: int) -> str:
 
 
 def num_judged_otherwise(text: str) -> int:
-    """Of how many solids in CityJSON text sequences p2wss and val3dity do not agree whether they are valid."""
+    """Number of solids in CityJSON text sequences about whose validity p2wss and val3dity disagree."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "damaged.city.jsonl")
         path.write_text(text, encoding="utf-8")

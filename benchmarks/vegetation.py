@@ -1,4 +1,4 @@
-"""Trees found in the simulated surveys of the miniature, against those that were drawn; the last line is JSON.
+"""Trees found in the simulated surveys of the miniature, against the drawn trees; the last line is JSON.
 
     python benchmarks/vegetation.py [--without-classes]
 
@@ -6,10 +6,10 @@ Needs no data but the files of ``tests/mini``.
 
 Makes scenes, buildings and surveys by the stages of the workflow with the defaults, and looks for plants by
 :func:`p2wss.reconstruction.outputs.vegetation.plants`. The rules were chosen on the first tile, and looked at on the
-others. A tree is found if the middle of a crown of its own is within its radius; other crowns are false. Heights are
-those of the highest leaf and the highest point, above the terrain and the ground of the points. Trees below 4 m or in
-the margin have no figure, but may have a crown. ``--without-classes``: only points of ground and buildings keep their
-class.
+others. A tree is found if the middle of a crown of its own is within its radius; other crowns are false. The height of
+a tree is that of its highest leaf above the terrain, the height of a crown that of its highest point above the ground
+of the points. Trees below 4 m or in the margin are not counted, but may have a crown. ``--without-classes``: only
+points of ground and buildings keep their class.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ TILES = ("0652_6862", "0653_6862", "0652_6861")
 
 
 def drawn(table, terrain: Terrain, origin_m: np.ndarray, settings: Scans) -> np.ndarray:
-    """(trees, 5): x, y, z of the middle's place and of the highest leaf, height above the terrain, radius."""
+    """(trees, 5): x and y of the middle, z of the highest leaf, height above the terrain, radius."""
     surface = build_surface(table, terrain, origin_m, settings)
     buildings = local_buildings(table, origin_m, settings.seed)
     leaves = beside_walls.trees(surface.terrain, buildings, settings.clutter.trees_per_building)
@@ -60,7 +60,7 @@ def drawn(table, terrain: Terrain, origin_m: np.ndarray, settings: Scans) -> np.
 
 
 def matched(crown_xy: np.ndarray, tree: np.ndarray) -> dict[int, int]:
-    """The crown of each tree that has one, the nearest pairs first."""
+    """The crown of each tree that has one, as indices; the nearest pairs are matched first."""
     distance_m, number = cKDTree(tree[:, :2]).query(crown_xy, k=min(8, len(tree)), distance_upper_bound=10)
     pairs = sorted(
         (d, crown, t)
@@ -102,8 +102,8 @@ def survey(tile: str, folder: Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
 
 
 def measured(tile: str, has_classes: bool) -> dict[str, np.ndarray]:
-    """Of the trees above 4 m: whether each is found, errors of heights and widths of those; of the crowns: whether each
-    is of a tree, and closed; the points per square metre."""
+    """For trees above 4 m: whether each is found, and errors of height and width of the found ones. For crowns: whether
+    each belongs to a tree, and whether it is closed. Points per square metre."""
     bounds = tile_bounds(tile, 1000)
     with tempfile.TemporaryDirectory() as folder:
         cloud, footprints, tree = survey(tile, Path(folder))
@@ -116,7 +116,7 @@ def measured(tile: str, has_classes: bool) -> dict[str, np.ndarray]:
     crown_of = matched(crown_xy, tree)
 
     def in_tile(xy: np.ndarray) -> np.ndarray:
-        return ((xy >= bounds[:2]) & (xy < bounds[2:])).all(axis=1)
+        return np.all((xy >= bounds[:2]) & (xy < bounds[2:]), axis=1)
 
     tall = np.flatnonzero(in_tile(tree[:, :2]) & (tree[:, 3] > TALL_M))
     own = [t for t in tall.tolist() if t in crown_of]

@@ -21,7 +21,7 @@ from pathlib import Path
 from figures import Figures
 
 ROOT = Path(__file__).resolve().parents[1]
-# installed for every user before extras existed: torch with CUDA, Snakemake and others
+# must not be installed, as they were before extras existed: torch with CUDA, Snakemake and others
 _FORBIDDEN = ("torch", "snakemake", "embreex", "matplotlib", "pyarrow")
 
 

@@ -4,11 +4,11 @@
 
 Needs data that are not part of the project (AHN3, 15 points per m², row houses in Delft; LiDAR HD, five blocks). Runs
 of all houses, of a quarter of them and of the blocks alternate, so that other work on the machine slows all of them.
-CPU time is divided by how much slower than usual the machine is just before and after the run (``figures.slowness``);
-of each, the run of the median counts. A further house: the difference of the two runs of houses, and with it the start,
-which is taken off the blocks. Without the network, on one thread, with default outputs. ``--copies``: also a town of so
-many copies of the houses, first with the default outputs, then as a scene for radar: skins, GLB and Sionna's files.
-How that compares with another program: ``beside_roofer.py``.
+CPU time is divided by how much slower than usual the machine is just before and after the run (``figures.slowness``).
+The median run counts. The difference of the two runs of houses gives the cost of a further house, and so the cost of
+the start, which is subtracted from the blocks. Without the network, on one thread, with default outputs. ``--copies``:
+also a town of this many copies of the houses, first with the default outputs, then as a scene for radar: skins, GLB and
+Sionna's files. Another program for comparison: ``beside_roofer.py``.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ import pandas as pd
 from figures import Figures, Run, run, slowness
 
 NUM_FEW = 18
-# of a town of copies, beside each other
+# distance of the copies of a town, and number of copies beside each other
 STEP_M, NUM_COLUMNS = (125.0, 150.0), 10
-# tells what writing takes
+# prints what writing takes
 WRITING = """
 import json, sys, time
 from p2wss.cli import main
@@ -47,7 +47,7 @@ RADAR_SCENE = json.dumps({"reconstruct": {"outputs": ["glb", "sionna"], "skin": 
 
 
 def town(place: Path, num_copies: int, folder: Path) -> tuple[Path, Path]:
-    """(clouds, footprints) of so many copies of a place."""
+    """(clouds, footprints) of ``num_copies`` copies of a place."""
     cloud, houses = laspy.read(place / "ahn3.laz"), gpd.read_file(place / "footprints.gpkg")
     (folder / "clouds").mkdir()
     copies, x_m, y_m = [], np.array(cloud.x), np.array(cloud.y)

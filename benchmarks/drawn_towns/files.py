@@ -21,9 +21,9 @@ from p2wss.towns.ign import building_id, write_footprints, write_terrain
 from p2wss.towns.site import BUILDING_CLASS, CRS, GROUND_CLASS, UNCLASSIFIED_CLASS, in_lidar_tile
 
 ROOFS = "roofs/roofs.city.jsonl"
-# wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall ones wall to wall;
-# large: schools, convents, factories, .. of up to some 50 planes; complexes: several of them grown together,
-# of 50 to 300 planes; streets: those of p2wss towns
+# wings: houses whose roofs consist of several bodies; terraces: rows of such houses; old: tall houses wall to wall;
+# large: schools, convents, factories, .. of up to some 50 planes; complexes: several large buildings grown together, of
+# 50 to 300 planes; streets: the towns of p2wss towns
 KINDS = {
     "wings": draw_wings,
     "terraces": draw_terraces,
@@ -33,14 +33,14 @@ KINDS = {
     "streets": draw_town,
 }
 MINIATURE_SEED = 652  # the town of streets under tests/mini
-# of p2wss demo: rows and detached houses between the centre and the edge of that town
+# area of p2wss demo: rows and detached houses between the centre and the edge of the miniature's town
 _DEMO = shapely.box(653_150, 6_860_690, 653_270, 6_860_790)
-# of the towns of complexes, whose surveys have last returns only
+# share of the towns of complexes without classes; their surveys have last returns only
 WITHOUT_CLASSES = 1 / 3
 
 
 def write_town(folder: Path, seed: int, kind: str, with_lidar: bool = True) -> list[DrawnBuilding]:
-    """Draw the town of ``seed`` of a kind of :data:`KINDS`, write its files and true roofs (of streets no roofs) into
+    """Draw the town of ``seed`` of a kind of :data:`KINDS`, write its files and true roofs (no roofs for streets) into
     ``folder`` and return its buildings. Footprints, terrain and roofs are the same with and without the LiDAR."""
     rng = np.random.Generator(np.random.PCG64(seed))
     town = KINDS[kind](rng)
@@ -78,7 +78,8 @@ def write_demo(folder: Path) -> None:
 def recorded(
     buildings: list[DrawnBuilding], points: dict[str, np.ndarray], rng: np.random.Generator
 ) -> np.ndarray:
-    """The points that the scanner records, bool (n,); those on roofs that are hard to classify get other classes."""
+    """bool (n,): the points that the scanner records. Changes the classes of points on roofs that are hard to
+    classify."""
     keep, classes = np.ones(len(points["x"]), bool), points["classification"]
     areas = [
         (wing.outline, BUILDING_CLASS, wing.seen_as, wing.seen_share)

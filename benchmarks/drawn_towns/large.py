@@ -1,8 +1,8 @@
 """Towns of large buildings: schools, convents, palaces, factories, churches and round buildings of up to some 50
 planes, and complexes of several of them with 50 to 300.
 
-They are bodies as those of :mod:`drawn_towns.wings`. Trees grow in courts, some roofs have no class or that of trees,
-and the lines of the scanner are far apart. All sizes below are in metres and degrees.
+They consist of bodies as in :mod:`drawn_towns.wings`. Trees grow in courts, some roofs have no class or the class of
+trees, and the lines of the scanner are far apart. All sizes below are in metres and degrees.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def draw_large(rng: np.random.Generator) -> list[DrawnBuilding]:
 
 
 def draw_complexes(rng: np.random.Generator) -> list[DrawnBuilding]:
-    """Several large buildings that have grown together, of 50 to 300 planes, on ground that falls little."""
+    """Several large buildings that have grown together, of 50 to 300 planes, on ground with gentle slopes."""
     town = draw_groups(rng, rng.permutation(SHAPES).tolist(), lambda shape, rng: [_draw_complex(shape, rng)])
     for building in town:
         building.ground = park_z_m
@@ -47,7 +47,7 @@ def park_z_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _with_trees(town: list[DrawnBuilding], rng: np.random.Generator) -> list[DrawnBuilding]:
-    """The same with trees in courts and with the class that the points of each have."""
+    """The town with trees in courts, and with a class for the points of each building."""
     for building in town:
         seen_as = int(rng.choice(_SEEN_AS, p=_SEEN_SHARE))
         for wing in building.wings:
@@ -69,7 +69,7 @@ def _draw_complex(shape: str, rng: np.random.Generator) -> list[Wing]:
         low, high = corner.min(axis=0), corner.max(axis=0)
         if ends.any() and ends[side] + high[0] - low[0] > _LONGEST_M:
             continue
-        # on the passage, which it overlaps
+        # beside the passage, which it overlaps
         shift = np.round((ends[side] - low[0], 1 - low[1] if side == 0 else -1 - high[1]), 3)
         wings += [replace(wing, outline=wing.outline * (1 - 2 * side) + shift) for wing in part]
         ends[side] += high[0] - low[0] + rng.uniform(4, 8)
@@ -79,7 +79,7 @@ def _draw_complex(shape: str, rng: np.random.Generator) -> list[Wing]:
 
 
 def _furniture(wings: list[Wing], rng: np.random.Generator) -> list[Wing]:
-    """Dormers, set-backs, skylights and parapets, where others are not in their way."""
+    """Dormers, set-backs, skylights and parapets, where no higher body is in their way."""
     result, todo = list[Wing](), list(wings)
     for wing in todo:
         length, deep = np.linalg.norm(np.diff(wing.outline[:3], axis=0), axis=1)
@@ -126,8 +126,8 @@ def _on_level(length: float, deep: float, top: float, rng: np.random.Generator) 
 def _ring(
     x: float, y: float, radius: float, num_edges: int, turn_deg: float, span_deg: float = 360.0
 ) -> np.ndarray:
-    """A regular polygon, or the part of it that a span of angles from a direction on has; a part is to the
-    millimetre, as the body beside it, and the planes of a whole one meet in one point."""
+    """A regular polygon, or with a smaller ``span_deg`` the part of it from the direction ``turn_deg`` on. A part is
+    rounded to millimetres, as the body beside it is. A whole polygon is not, so that its planes meet in one point."""
     number = num_edges if span_deg == 360 else num_edges + 1
     angle = np.radians(turn_deg + np.arange(number) * span_deg / num_edges)
     ring = np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)])
@@ -146,7 +146,7 @@ def _around_court(box: Box, deep: float, eave: float, pitch: float) -> list[Wing
 
 
 def _tower(x: float, y: float, wide: float, eave: float, rng: np.random.Generator) -> Wing:
-    """A square or round one, with a spire or without."""
+    """A square or round tower, with or without a spire."""
     num_edges, turn_deg = (16, 0.0) if rng.random() < 0.4 else (4, 45.0)
     ring = _ring(x, y, wide / 2 / np.cos(np.radians(turn_deg)), num_edges, turn_deg)
     pitch = float(rng.choice([0.0, rng.uniform(25, 65)], p=[0.25, 0.75]))

@@ -146,7 +146,8 @@ def _crown_hit(
     descent: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(descent at which leaves stop a pulse, NaN where none does before ``descent``; the chance that some passes)."""
+    """(descent at which leaves stop a pulse, NaN if none do before ``descent``; the chance that a part of the pulse
+    passes)."""
     result, passing = np.full((2, len(plane_xy)), np.nan)
     chance, inside = rng.random(len(plane_xy)), rng.random(len(plane_xy))
     for x, y, z, radius, half, density in trees:

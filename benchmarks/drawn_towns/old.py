@@ -2,7 +2,7 @@
 
 Roofs reach over the border of lower neighbours, shafts are within houses, plants grow on them and trees over them,
 sheet metal sends little back, and hardly any ground is seen between. The map is older than the cloud: some of its
-houses are gone or changed. What troubles a house is its kind; its true roof is that of its bodies, less the shafts.
+houses are gone or changed. What troubles a house is its kind; its true roof is the roof of its bodies without shafts.
 All sizes below are in metres and degrees.
 """
 
@@ -25,7 +25,7 @@ from p2wss.towns.site import (
     ground_z_m,
 )
 
-# what troubles a house, and how often; the first ones are causes for which it cannot be represented
+# what troubles a house, with its probability; because of the first ones, a house cannot be represented
 TROUBLES = {
     "vegetation-over": 0.04,
     "neighbour-over": 0.03,
@@ -41,7 +41,7 @@ TROUBLES = {
     "plain": 0.44,
 }
 _MARGIN_M, _LANE_M = 12.0, (1.8, 3.5)
-# houses stand where the ground falls by less than this within them
+# houses stand only where the ground falls by less than this within a lot
 _MAX_FALL_M = 3.5
 _SMALL = ("vegetation-over", "neighbour-over")
 
@@ -162,7 +162,7 @@ def _draw_house(corners: np.ndarray, before: DrawnBuilding | None, rng: np.rando
 
 
 def _reaching(wing: Wing, eave_m: float, right_m: float, left_m: float) -> Wing:
-    """The roof of a body with its planes continued beyond its walls: at the eaves, and at either end."""
+    """The roof of a body with its planes continued beyond its walls, at the eaves and at both ends."""
     outline = wing.outline
     along, inward = (
         (outline[k + 1] - outline[k]) / np.linalg.norm(outline[k + 1] - outline[k]) for k in (0, 1)

@@ -1,4 +1,4 @@
-"""Meshes of drawn solids, of which only the triangles are known: the planes of these are found."""
+"""Meshes of drawn solids, of which only the triangles are known; their planes are found here."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.topology import NEXT, doubled_areas, twins
 from p2wss.skeleton.types import FaceKind
 
-# vertices within this distance of a roof, and of a wall, lie in it: heights nearer than the first are one, but walls
-# that turn by little are two, and rounded coordinates are off by less than the second
+# distance of vertices from the plane of a roof, and of a wall, in which they lie. Heights that differ by less than the
+# first are one; walls that turn by little are two, and rounding of coordinates moves vertices by less than the second
 _COPLANAR_M, _IN_WALL_M = 4e-3, 1.5e-3
 _SAME_WAY = 0.99
 _UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999

@@ -100,8 +100,8 @@ def draw_details(building: DrawnBuilding, rng: np.random.Generator) -> list[Wing
 
 
 def draw_trees(buildings: list[DrawnBuilding], rng: np.random.Generator) -> np.ndarray:
-    """Crowns beside buildings, and those on them: x, y, z of the centre, radius, half height, the share of
-    pulses that they stop. Float array (n, 6)."""
+    """Crowns beside and on buildings, float (n, 6): x, y, z of the centre, radius, half height, the share of pulses
+    that they stop."""
     houses = shapely.union_all([building.footprint for building in buildings])
     crowns: list[Sequence[float]] = []
     for building in buildings:

@@ -1,8 +1,8 @@
 """A town of houses whose roofs consist of several bodies, and their true roofs.
 
-Each body has a convex outline and planes that rise from its edges, so that its solid is exactly the common part of
-half-spaces; a building is the union of its bodies. Details are surveyed, but no part of the true roof: parapets and
-camber of level roofs, chimneys. All sizes below are in metres and degrees.
+Each body has a convex outline and planes that rise from its edges, so that its solid is exactly the intersection of
+half-spaces; a building is the union of its bodies. Details (parapets and camber of level roofs, chimneys) are surveyed,
+but do not belong to the true roof. All sizes below are in metres and degrees.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _INNER = ("gable", "hip", "half-hip")  # roofs whose ridge is in the middle
 
 
 def draw_wings(rng: np.random.Generator, shapes: Sequence[str] = SHAPES) -> list[DrawnBuilding]:
-    """Groups of these shapes. A row or terrace is a group of several buildings, any other shape a group of one."""
+    """Groups of these ``shapes``. A row or terrace is a group of several buildings, any other shape a group of one."""
     return draw_groups(rng, shapes, _draw_group)
 
 
@@ -38,8 +38,8 @@ def draw_groups(
     shapes: Sequence[str],
     draw: Callable[[str, np.random.Generator], list[list[Wing]]],
 ) -> list[DrawnBuilding]:
-    """Groups of these shapes in turn, each turned at random, in lines within the LiDAR tile. draw: the bodies of each
-    building of a group, in the group's own frame."""
+    """Groups of these ``shapes`` in turn, each turned at random, in lines within the LiDAR tile. draw: a function of a
+    shape that gives the bodies of each building of a group, in the group's own frame."""
     town: list[DrawnBuilding] = []
     x, y, depth = LIDAR_X_MIN + _MARGIN_M, LIDAR_Y_MAX - _MARGIN_M, 0.0
     for shape in itertools.cycle(shapes):
@@ -68,8 +68,8 @@ def draw_terraces(rng: np.random.Generator) -> list[DrawnBuilding]:
 
 
 def _map(buildings: list[DrawnBuilding], rng: np.random.Generator) -> None:
-    """Give a group of buildings the footprints of a map: of the eaves or of the walls behind them, simplified, with
-    errors that are smooth over a few metres, so that neighbours keep their common corners."""
+    """Give a group of buildings the footprints of a map: outlines of the eaves or of the walls behind them, simplified.
+    The errors are smooth over a few metres, so that neighbours keep their common corners."""
     steepest = max(wing.pitch_deg for building in buildings for wing in building.wings)
     overhang = rng.uniform(0, 0.35) * np.cos(np.radians(steepest)) if rng.random() < 0.4 else 0.0
     wave, phase = rng.normal(0, 1, (2, 2)), rng.uniform(0, 2 * np.pi, 2)
@@ -90,8 +90,8 @@ def body(
     roof: str,
     ends: tuple[int, ...] = (1, 3),
 ) -> Wing:
-    """A body in a rectangle whose ridge runs along its first axis. ends: those with a hip: 1 where the ridge ends,
-    3 where it starts."""
+    """A body in a rectangle whose ridge runs along its first axis. ends: the ends with a hip: 1 where the ridge ends, 3
+    where it starts."""
     along = np.array([np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))])
     inward = np.array([-along[1], along[0]])
     outline = np.round(to_world(np.array(origin), along, inward, rectangle(*box)), 3)
@@ -174,8 +174,8 @@ def _wing(
     pitch: float,
     roof: str,
 ) -> Wing:
-    """A body across the main one, from ``u`` on its axis. If the main roof does not hide its start, it begins at the
-    far side of the main one."""
+    """A body across the main body, from ``u`` on its axis. If the main roof does not hide its start, it begins at the
+    far side of the main body."""
     wing = body((u, 0), turn_deg, box, eave, pitch, roof, (1,) if box[0] == 0 else (1, 3))
     start = np.vstack([wing.outline[[0, 3]], [[u, 0.0]]])
     is_hidden = main.eave_m + main.rise_m(start) >= wing.eave_m + wing.rise_m(start) + 0.05
@@ -186,7 +186,7 @@ def _wing(
 
 
 def _annex(main: Wing, length: float, width: float, rng: np.random.Generator) -> list[Wing]:
-    """A garage or an extension at the end of the main body, if that is high enough."""
+    """A garage or an extension at the end of the main body; none if the main body is too low."""
     eave, deep = rng.uniform(2.3, 2.8), rng.uniform(3, 6.5)
     if main.eave_m < eave + 0.3:
         return []
@@ -245,7 +245,7 @@ def _draw_flat(rng: np.random.Generator) -> list[Wing]:
 
 
 def parapets(box: tuple[float, float, float, float], top_m: float) -> list[Wing]:
-    """Those along the sides of a level roof."""
+    """Parapets along the sides of a level roof."""
     x0, y0, x1, y1 = box
     strips = [
         (x0, y0, x1, y0 + 0.3),
@@ -257,7 +257,7 @@ def parapets(box: tuple[float, float, float, float], top_m: float) -> list[Wing]
 
 
 def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
-    """Houses that are alike, with party walls; at one of them the heights may step."""
+    """Similar houses with party walls; at one of them the heights may step."""
     wide, width, eave, pitch = (
         round(rng.uniform(5, 8), 3),
         rng.uniform(8, 11),
@@ -283,8 +283,8 @@ def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
 
 
 def _draw_terrace(rng: np.random.Generator) -> list[list[Wing]]:
-    """Houses wall to wall under one roof, most with a lower part of their own behind it, often as wide as the house, so
-    that its footprint does not show it."""
+    """Houses wall to wall under one roof. Most have a lower part of their own behind it, often as wide as the house, so
+    that the footprint does not show it."""
     wide, width = round(rng.uniform(4.5, 8), 3), rng.uniform(6.5, 10.5)
     eave, pitch = rng.uniform(2.8, 8), rng.uniform(22, 58)
     roof = str(rng.choice(["gable", "uneven", "mansard", "flat"], p=[0.65, 0.1, 0.05, 0.2]))
@@ -311,10 +311,10 @@ def _draw_terrace(rng: np.random.Generator) -> list[list[Wing]]:
 
 
 def true_solids(town: Sequence[DrawnBuilding]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The union of the bodies of each building, less its shafts, on the ground: vertices (v, 3) in the CRS, triangles
-    (t, 3)."""
+    """For each building, the union of its bodies without its shafts, on the ground: vertices (v, 3) in the CRS,
+    triangles (t, 3)."""
     for building in town:
-        # in the frame in which it was drawn, to 0.1 um, so that bodies side by side have the same coordinates
+        # in the frame of the drawing, rounded to 0.1 um, so that bodies side by side have the same coordinates
         origin, rotation = building.wings[0].outline[0], _axes(building.wings[0])
         bodies = [_prism(wing, origin, rotation) for wing in building.wings if not wing.detail]
         solid = Manifold.batch_boolean(bodies, OpType.Add)
@@ -329,7 +329,7 @@ def true_solids(town: Sequence[DrawnBuilding]) -> Iterator[tuple[np.ndarray, np.
 
 
 def _axes(wing: Wing) -> np.ndarray:
-    """The rotation (2, 2) from the CRS, as rows, to the frame of a body."""
+    """The rotation (2, 2) by which rows in the CRS are multiplied to get the frame of a body."""
     along = wing.outline[1] - wing.outline[0]
     x, y = along / np.linalg.norm(along)
     return np.array([[x, -y], [y, x]])
