@@ -99,7 +99,7 @@ class Outlines(Section):
         1.5,
         gt=0,
         description="a block is split into buildings where the heights of neighbouring cells differ by more "
-        "than this",
+        "than this and the slope around",
     )
     min_area_m2: float = Field(10, gt=0, description="blocks smaller than this are discarded")
     min_part_m2: float = Field(

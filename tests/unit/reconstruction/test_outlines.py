@@ -237,6 +237,22 @@ def test_large_buildings_are_split_at_smaller_jumps() -> None:
     assert len(outlines(cloud, Outlines(max_area_m2=220))) == 1
 
 
+def test_a_steep_roof_is_not_split_along_its_slope() -> None:
+    """At 50 degrees, cells of 0.7 m differ by 0.8 m, more than the least jump."""
+    roof = shapely.box(0, 0, 30, 14)
+    dense = scene((roof, 20.0))
+    some = np.random.default_rng(5).permutation(len(dense))[: len(dense) // 3]
+    x_m, y_m, z_m, classes = (
+        column[some] for column in (dense.x_m, dense.y_m, dense.z_m, dense.classification)
+    )
+    on_roof = classes == BUILDING
+    z_m[on_roof] -= np.tan(np.radians(50)) * np.abs(y_m[on_roof] - ORIGIN[1] - 7)
+    assert len(outlines(Cloud(x_m, y_m, z_m, classes, LAMBERT), Outlines())) == 1
+    # half of it 2 m higher, at right angles to the slope
+    z_m[on_roof & (x_m < ORIGIN[0] + 15)] += 2.0
+    assert len(outlines(Cloud(x_m, y_m, z_m, classes, LAMBERT), Outlines())) == 2
+
+
 @pytest.mark.parametrize("is_classified", [True, False])
 def test_a_tree_beside_is_not_of_the_building(is_classified: bool) -> None:
     tree = shapely.Point(23, 4).buffer(3.5)

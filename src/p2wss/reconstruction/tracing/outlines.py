@@ -286,8 +286,7 @@ def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: 
     height. Small buildings join a neighbour. Large buildings are split again at smaller jumps."""
     is_block = block > 0
     first, second = cell_neighbours(is_block)
-    z_m, label, building = height_m[is_block], block[is_block], np.zeros_like(block)
-    jump_m = np.abs(z_m[first] - z_m[second])
+    label, building, jump_m = block[is_block], np.zeros_like(block), _jumps_m(height_m, is_block)
     is_large = np.ones(label.max(initial=0) + 1, bool)
     least_m = settings.jump_m
     while True:
@@ -300,6 +299,21 @@ def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: 
             building[is_block] = label + 1
             return building
         least_m = max(least_m / 2, _LEAST_JUMP_M)
+
+
+def _jumps_m(height_m: np.ndarray, is_block: np.ndarray) -> np.ndarray:
+    """The jumps between the pairs of cells of :func:`cell_neighbours`, in metres: differences of height without what
+    the slope of the roof explains, which is that of the cells before and after a pair."""
+    z_m, result = np.where(is_block, height_m, np.nan), []
+    for axis in (1, 0):
+        step_m = np.moveaxis(np.diff(z_m, axis=axis), axis, 0)
+        around = np.pad(step_m, ((1, 1), (0, 0)), constant_values=np.nan)
+        beside = np.stack([around[:-2], around[2:]])
+        slope_m = np.nansum(beside, axis=0) / np.maximum(np.isfinite(beside).sum(axis=0), 1)
+        jump_m = np.abs(step_m) - np.clip(slope_m * np.sign(step_m), 0, np.abs(step_m))
+        jump_m = np.moveaxis(jump_m, 0, axis)
+        result.append(jump_m[np.isfinite(jump_m)])
+    return np.concatenate(result)
 
 
 def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells: float) -> np.ndarray:
