@@ -32,6 +32,19 @@ from p2wss.skeleton.types import numbered
 
 
 @dataclass(frozen=True)
+class Planar:
+    """When a point lies on a plane. num_neighbours, max_distance_m: it needs this many neighbours within this distance.
+    max_roughness_m: largest rms distance of the neighbours from their plane. least_share: of the neighbours of a point
+    on a plane, this share at least is on planes. steepest_deg: largest slope of these planes."""
+
+    num_neighbours: int = 12
+    max_distance_m: float = 2.0
+    max_roughness_m: float = 0.12
+    least_share: float = 0.5
+    steepest_deg: float = 75.0
+
+
+@dataclass(frozen=True)
 class Rules:
     """What is ground, and what lies on a plane; set by hand.
 
@@ -40,9 +53,17 @@ class Rules:
     low_percentile, max_below_m: a cell counts as at most ``max_below_m`` lower than this percentile, the second lowest,
     of the nine cells around it. A point more than ``max_below_m`` below all other points of these nine cells is an
     outlier; num_alone: rounds in which outliers are removed. ground_tolerance_m: ground points are at most this far
-    from the raster of the ground. num_neighbours, max_distance_m: a point needs this many neighbours within this
-    distance. max_roughness_m: largest rms distance of the neighbours from their plane. least_share: of the neighbours
-    of a point on a plane, this share at least is on planes. steepest_deg: largest slope of these planes.
+    from the raster of the ground.
+
+    planar: when a point lies on a plane. planar_margin_m: points farther than this, three neighbourhoods, do not tell.
+    sparse_m, sparse_planar: points are sparse if the last of their neighbours is farther in plan. Such neighbours are
+    of several roofs. By the looser rules, most points of a roof lie on planes, but many of a tree, too: they hold in
+    footprints, where few trees are. They were chosen on Delft and Adelaide, thinned to 1, 2 and 4 points per m2.
+
+    flat_share, min_width_cells, missed_m2: buildings that the producer missed. At least this share of the high points
+    of a cell lies on planes; least width, as trains and lorries are 3 m wide; least area in square metres.
+    last_known_class, unknown_share: LAS gives no class of ground, buildings or plants beyond; a warning is due if more
+    points than this share have such a class.
     """
 
     cell_m: float = 1.0
@@ -52,32 +73,24 @@ class Rules:
     max_below_m: float = 1.0
     num_alone: int = 3
     ground_tolerance_m: float = 0.4
-    num_neighbours: int = 12
-    max_distance_m: float = 2.0
-    max_roughness_m: float = 0.12
-    least_share: float = 0.5
-    steepest_deg: float = 75.0
+    planar: Planar = Planar()
+    planar_margin_m: float = 9.0
+    sparse_m: float = 0.85
+    sparse_planar: Planar = Planar(8, max_distance_m=3.0, max_roughness_m=0.15, least_share=0.34)
+    flat_share: float = 0.5
+    min_width_cells: int = 5
+    missed_m2: float = 40.0
+    last_known_class: int = 18
+    unknown_share: float = 0.3
 
 
 RULES = Rules()
-# metres: points are sparse if the last of their neighbours is farther in plan. Such neighbours are of several roofs.
-# By the sparse rules, most points of a roof lie on planes, but many of a tree, too: they hold in footprints, where few
-# trees are. Chosen on Delft and Adelaide, thinned to 1, 2 and 4 points per m2
-_SPARSE_M = 0.85
-_SPARSE_RULES = replace(RULES, num_neighbours=8, max_distance_m=3.0, max_roughness_m=0.15, least_share=0.34)
 _CHUNK = 10_000
-# metres: points farther than this, three neighbourhoods, do not tell whether a point lies on a plane
-_PLANAR_MARGIN_M = 9.0
 # a raster of more cells than the first is made tile by tile, with the second as cells along the side of a tile. Points
 # scattered over 8 x 10 km, or along a corridor of 50 km, would leave most cells of one raster empty
 _MAX_CELLS, _TILE_CELLS = 8_000_000, 1000
 # points up to this many metres around a tile help to tell its ground
 _TILE_MARGIN_M = 200.0
-# buildings that the producer missed: in a cell, at least this share of the high points lies on planes; least width in
-# cells, as trains and lorries are 3 m wide; least area in square metres
-_FLAT_SHARE, _MIN_WIDTH_CELLS, _MISSED_M2 = 0.5, 5, 40.0
-# LAS gives no class of ground, buildings or plants beyond; of more points than this share, a warning is due
-_LAST_KNOWN_CLASS, _UNKNOWN_SHARE = 18, 0.3
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
     " more accurate"
@@ -131,7 +144,7 @@ def _near(cloud: Cloud, wanted: np.ndarray | None) -> np.ndarray:
     bounds = bounds_of_points(cloud.x_m[wanted], cloud.y_m[wanted])
     if bounds is None:
         return wanted
-    return in_window(cloud.x_m, cloud.y_m, grown(bounds, _PLANAR_MARGIN_M))
+    return in_window(cloud.x_m, cloud.y_m, grown(bounds, RULES.planar_margin_m))
 
 
 def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
@@ -153,11 +166,11 @@ def with_missed_buildings(cloud: Cloud) -> tuple[Cloud, float]:
             np.bincount(cell, of_class[near], size).reshape(shape)
             for of_class in (is_high, is_flat, is_taken)
         )
-        is_roof = (num_flat > 0) & (num_flat >= _FLAT_SHARE * num_high) & (num_taken == 0)
+        is_roof = (num_flat > 0) & (num_flat >= RULES.flat_share * num_high) & (num_taken == 0)
         is_roof |= scipy.ndimage.binary_closing(is_roof, np.ones((3, 3))) & (num_taken == 0)
-        core = scipy.ndimage.binary_opening(is_roof, np.ones((_MIN_WIDTH_CELLS, _MIN_WIDTH_CELLS)))
+        core = scipy.ndimage.binary_opening(is_roof, np.ones((RULES.min_width_cells, RULES.min_width_cells)))
         area = scipy.ndimage.label(scipy.ndimage.binary_propagation(core, mask=is_roof))[0]
-        is_large = np.bincount(area.ravel()) * RULES.cell_m**2 >= _MISSED_M2
+        is_large = np.bincount(area.ravel()) * RULES.cell_m**2 >= RULES.missed_m2
         is_large[0] = False
         own = inside & is_large[area.ravel()[cell]]
         is_missed[near[own]] = True
@@ -188,9 +201,9 @@ def warnings_of_unknown(counts: np.ndarray) -> list[str]:
     """A warning if many points have classes to which this package gives no meaning. counts: int (256,), the number of
     points of each class."""
     unknown = np.flatnonzero(counts)
-    unknown = unknown[unknown > _LAST_KNOWN_CLASS]
+    unknown = unknown[unknown > RULES.last_known_class]
     share = counts[unknown].sum() / max(counts.sum(), 1)
-    if share < _UNKNOWN_SHARE:
+    if share < RULES.unknown_share:
         return []
     return [
         f"{share:.0%} of the points have class {', '.join(map(str, unknown))}, read as neither ground, building nor"
@@ -296,14 +309,14 @@ def _perhaps_planar(xyz_m: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """bool (n,): which of the ``wanted`` points, bool (n,), are sparse and lie on planes by looser rules than
     :func:`planar`."""
     result, rows = np.zeros(len(xyz_m), bool), np.flatnonzero(wanted)
-    if len(rows) and len(xyz_m) > RULES.num_neighbours:
+    if len(rows) and len(xyz_m) > RULES.planar.num_neighbours:
         xy_m = xyz_m[:, :2] - np.floor(xyz_m[:, :2].min(axis=0))
-        rows = rows[nearest(xy_m, xy_m[rows], RULES.num_neighbours)[0][:, -1] > _SPARSE_M]
-        result[rows] = planar(xyz_m, _SPARSE_RULES, rows)
+        rows = rows[nearest(xy_m, xy_m[rows], RULES.planar.num_neighbours)[0][:, -1] > RULES.sparse_m]
+        result[rows] = planar(xyz_m, RULES.sparse_planar, rows)
     return result
 
 
-def planar(xyz_m: np.ndarray, rules: Rules = RULES, wanted: np.ndarray | None = None) -> np.ndarray:
+def planar(xyz_m: np.ndarray, rules: Planar = RULES.planar, wanted: np.ndarray | None = None) -> np.ndarray:
     """bool (m,): whether at least ``least_share`` of the neighbours of each point lie on a plane with their own
     neighbours. wanted: int (m,), the points; None: all of ``xyz_m``, (n, 3)."""
     if len(xyz_m) <= rules.num_neighbours:
