@@ -156,7 +156,8 @@ def _other(path: Path) -> Facts:
     except pyogrio.errors.DataSourceError as error:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
         raise InputError(
-            f"{path}: unknown type of file; the known types are {known}, and vector files"
+            f"{path}: unknown type of file; the known types are {known}, and vector files; convert points in another"
+            " format (E57, PLY, text) to LAZ"
         ) from error
     return _vector(path)
 

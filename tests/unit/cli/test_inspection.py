@@ -180,7 +180,8 @@ def test_command(tmp_path: Path, capsys: Any) -> None:
     assert "none.laz: no such file" in capsys.readouterr().err
     (tmp_path / "a.xyz").write_text("1 2 3")
     assert main(["inspect", str(tmp_path / "a.xyz")]) == 2
-    assert "unknown type of file" in capsys.readouterr().err
+    message = capsys.readouterr().err
+    assert "unknown type of file" in message and "(E57, PLY, text) to LAZ" in message
     assert main(["inspect", str(tmp_path)]) == 2
     assert f"{tmp_path}: is a folder" in capsys.readouterr().err
 
