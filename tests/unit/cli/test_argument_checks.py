@@ -67,7 +67,12 @@ WRONG = [
     ("cloud.laz", "text.parquet", [], "text.parquet: not a readable vector file"),
     ("cloud.laz", "footprints.gpkg", ["--height-field", "h"], "has no column h; its columns are"),
     ("cloud.laz", "footprints.gpkg", ["--keep-columns", "k"], "has no column k; its columns are"),
-    ("unstated.laz", "unstated.gpkg", [], "states its CRS; state it with --crs"),
+    (
+        "unstated.laz",
+        "unstated.gpkg",
+        [],
+        "states its CRS; state it with --crs, such as EPSG:28992, or for local",
+    ),
     ("unstated.laz", "unstated.gpkg", ["--crs", "EPSG:999999"], "--crs EPSG:999999: no such CRS"),
     ("cloud.laz", "footprints.gpkg", ["--id-field", "nr"], "has no column nr; its columns are cleabs"),
     ("cloud.laz", "footprints.gpkg", ["--tile", "x"], "'x' is not a tile name"),
