@@ -39,6 +39,9 @@ _ACCURATE_M = 0.5
 _SAME_PLACE_M = 1e-4
 # lengths in a projection may differ from those on the ground by this share
 _MAX_DISTORTION = 0.005
+STATE_CRS = (
+    "state it with --crs, such as EPSG:28992, or for local coordinates any in metres, such as EPSG:32631"
+)
 # coordinates this near to zero, outside the area of use, are local ones
 _LOCAL = 10_000.0
 # latitude and longitude this near to zero are in the sea
@@ -166,9 +169,7 @@ def common_crs(
         )
     crs = cloud or frame
     if crs is None:
-        raise InputError(
-            f"neither {names[0]} nor {names[1]} states its CRS; state it with --crs, such as EPSG:28992"
-        )
+        raise InputError(f"neither {names[0]} nor {names[1]} states its CRS; {STATE_CRS}")
     if cloud is None:
         note = (
             f"{names[0]} does not state its CRS; assuming {crs.name} as in {names[1]} (--crs overrides this)"

@@ -290,9 +290,9 @@ def _layer(path: str | Path, stated: str, of: str = "polygons") -> tuple[str | N
 
 def layer_info(path: Path, layer: str = "", with_bounds: bool = False) -> dict[str, Any]:
     """What a file states of the layer that :func:`read_vector` reads, without reading the features: ``features`` (their
-    number), ``geometry_type`` (None without geometry), ``fields``, ``crs``, ``layer``, ``other_layers`` and
-    ``total_bounds``. The bounds may be None if they are not known without reading all features; ``with_bounds`` reads
-    them then. Raises :class:`InputError` if the file is broken."""
+    number; -1 for some, if it is not stated), ``geometry_type`` (None without geometry), ``fields``, ``crs``,
+    ``layer``, ``other_layers`` and ``total_bounds``. The bounds may be None if they are not known without reading all
+    features; ``with_bounds`` reads them then. Raises :class:`InputError` if the file is broken."""
     chosen, others = _layer(path, layer)
     if _is_parquet(path):
         info = _geoparquet_info(path)
@@ -301,6 +301,8 @@ def layer_info(path: Path, layer: str = "", with_bounds: bool = False) -> dict[s
             warnings.simplefilter("ignore")
             source = unpacked(path, layer)
             info = dict(decoded(source, pyogrio.read_info, layer=chosen, force_total_bounds=with_bounds))
+            if info["features"] < 0:  # as in GML, DXF and FlatGeobuf
+                info["features"] = -len(pyogrio.read_bounds(source, layer=chosen, max_features=1)[0])
     return info | {"layer": chosen, "other_layers": others}
 
 

@@ -19,6 +19,7 @@ from p2wss.clouds import reading
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config, Reconstruct
 from p2wss.data.crs import (
+    STATE_CRS,
     MetricCrs,
     check_crs,
     common_crs,
@@ -146,7 +147,7 @@ def check_inputs(
     header = reading.common_header(headers) or headers[0]
     names, footprints_crs = (str(header.path), vector_files.file_of(footprints)), None
     if footprints is None and header.crs is None and crs is None:
-        raise InputError(f"{header.path} does not state its CRS; state it with --crs, such as EPSG:28992")
+        raise InputError(f"{header.path} does not state its CRS; {STATE_CRS}")
     if footprints is not None:
         settings = config.reconstruct
         columns = [settings.id_field, settings.height_field]

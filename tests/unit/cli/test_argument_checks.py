@@ -31,7 +31,8 @@ from p2wss.storage.errors import InputError
 def write_files(place: Path) -> None:
     """The wrong inputs of :data:`WRONG`, beside the right ones."""
     good = gpd.read_file(place / "footprints.gpkg")
-    good.iloc[:0].to_file(place / "none.gpkg")
+    for ending in ("gpkg", "fgb"):  # the second does not state that it has no features
+        good.iloc[:0].to_file(place / f"none.{ending}")
     good.set_geometry(good.boundary).to_file(place / "lines.gpkg")
     good.to_crs(4326).to_file(place / "degrees.gpkg")
     good.to_crs(4326).to_parquet(place / "degrees.parquet")
@@ -60,12 +61,18 @@ WRONG = [
     ("unstated.laz", "degrees.gpkg", [], "degrees.gpkg is in degrees, which is unlikely for clouds"),
     ("cloud.laz", "gone.gpkg", [], "gone.gpkg: no such file"),
     ("cloud.laz", "none.gpkg", [], "none.gpkg: has no features"),
+    ("cloud.laz", "none.fgb", [], "none.fgb: has no features"),
     ("cloud.laz", "lines.gpkg", [], "lines.gpkg: has no polygons; QGIS makes them of closed lines"),
     ("cloud.laz", "text.gpkg", [], "text.gpkg: not a readable vector file"),
     ("cloud.laz", "text.parquet", [], "text.parquet: not a readable vector file"),
     ("cloud.laz", "footprints.gpkg", ["--height-field", "h"], "has no column h; its columns are"),
     ("cloud.laz", "footprints.gpkg", ["--keep-columns", "k"], "has no column k; its columns are"),
-    ("unstated.laz", "unstated.gpkg", [], "states its CRS; state it with --crs"),
+    (
+        "unstated.laz",
+        "unstated.gpkg",
+        [],
+        "states its CRS; state it with --crs, such as EPSG:28992, or for local",
+    ),
     ("unstated.laz", "unstated.gpkg", ["--crs", "EPSG:999999"], "--crs EPSG:999999: no such CRS"),
     ("cloud.laz", "footprints.gpkg", ["--id-field", "nr"], "has no column nr; its columns are cleabs"),
     ("cloud.laz", "footprints.gpkg", ["--tile", "x"], "'x' is not a tile name"),

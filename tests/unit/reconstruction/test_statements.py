@@ -510,6 +510,22 @@ def test_coordinates_of_a_file_that_were_float32_are_told(
     assert words in "".join(told) and len(told) == bool(words)
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.01])
+def test_heights_above_the_ground_are_told(
+    slope: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As of a cloud that was normalised: its hills are gone. A place near the sea has ground that varies."""
+    path = houses.write_cloud(tmp_path / "c.laz")
+    las = laspy.read(path)
+    z = np.array(las.z) - houses.GROUND_M
+    las.z = np.where(las.classification == 2, 0.0, z) + slope * (np.array(las.x) - np.mean(las.x))
+    las.write(path)
+    gable, flat = houses.footprints().geometry
+    halves = [shapely.intersection(flat, shapely.affinity.translate(flat, x)) for x in (-5, 5)]
+    built(path, gpd.GeoDataFrame({"id": list("abc")}, geometry=[gable, *halves], crs=2154))
+    assert ("the ground is at zero everywhere" in caplog.text) == (slope == 0)
+
+
 @pytest.mark.parametrize("shift_m", [0.0, 0.5])
 def test_ground_in_two_layers_is_told(
     shift_m: float, tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -39,7 +39,8 @@ class Rules:
     min_points: least points of such a square, min_squares: least squares, num_layered: footprints where this is
     checked. max_undulation_m: largest distance of the ellipsoid from the sea level. step_m: (metres, points): around a
     footprint with this many points, x and y have smaller steps than this; if only one has, digits were lost, and if
-    neither has, the points are a raster.
+    neither has, the points are a raster. zero_m: (metres, footprints): the ground is this near to zero around each of
+    this many footprints only if heights are above the ground.
     """
 
     num_sampled: int = 32
@@ -62,6 +63,7 @@ class Rules:
     num_layered: int = 8
     max_undulation_m: float = 110.0
     step_m: tuple[float, int] = (0.1, 100)
+    zero_m: tuple[float, int] = (0.02, 3)
 
 
 RULES = Rules()
@@ -184,6 +186,13 @@ def check(sample: Sample, inputs: Inputs, height_unit: str, terrain_unit: str) -
             " heights; roofs are as doubtful",
             inputs.headers[0].path,
             np.median(layers_m),
+        )
+    ground_m = sample.ground_z_m[np.isfinite(sample.ground_z_m)]
+    if len(ground_m) >= RULES.zero_m[1] and np.abs(ground_m).max() < RULES.zero_m[0]:
+        log.warning(
+            "warning: %s: the ground is at zero everywhere, as where heights are above the ground (normalised): hills"
+            " are flat, and roofs on slopes bent; give the cloud with its own heights, if the place is not flat",
+            inputs.headers[0].path,
         )
     step = sample.step_m.max() / (inputs.metric.horizontal_m or 1.0)
     is_coarse = sample.step_m.max() > max(RULES.step_m[0], 2 * sample.step_m.min())

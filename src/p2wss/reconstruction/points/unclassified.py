@@ -103,8 +103,8 @@ _IN_FOOTPRINTS = (
     " 0.7 m at least, or not at all (--registration never, or always: as with class 6)"
 )
 _WITHOUT_FOOTPRINTS = (
-    ", and trees may become buildings; give footprints, or a cloud whose buildings the producer classified, if there"
-    " are any"
+    ", and trees and bridges may become buildings; give footprints, or a cloud whose buildings the producer classified,"
+    " if there are any"
 )
 
 
