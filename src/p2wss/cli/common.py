@@ -21,6 +21,8 @@ from p2wss.storage.errors import InputError, reading
 from p2wss.storage.log_lines import first_of, log
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from p2wss.reconstruction.scene import Scene
 
 CITY = (".json", ".jsonl")
@@ -208,6 +210,18 @@ def sums_of(summary: Path) -> Sums:
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:
     """Bounds of a tile and its margin, metres. Raises :class:`InputError` if ``tile`` is not a tile name."""
     return tile_bounds(tile, config.region.tile_size_m, margin_m)
+
+
+def check_failures(path: Path, what: str, status: np.ndarray, section: str, config: Config) -> None:
+    """Raise :class:`InputError` if a larger share of buildings, by their ``status``, is not ok than
+    ``max_failed_fraction`` of a section of the config. what: the buildings and what befell them, for the message."""
+    share = (status != "ok").mean() if len(status) else 0.0
+    most = getattr(config, section).max_failed_fraction
+    if share > most:
+        raise InputError(
+            f"{path}: {share:.1%} of {what}, more than {section}.max_failed_fraction {most:.1%}; the reasons are"
+            " listed above"
+        )
 
 
 def log_status_counts(out: Path, status: Iterable[str]) -> None:
