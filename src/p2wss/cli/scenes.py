@@ -18,6 +18,7 @@ from p2wss.cli.common import (
 )
 from p2wss.cli.parser import Group, file_option
 from p2wss.config import OF_CLOUDS, TILE_LISTS, Config, member_places, place_config, section_json
+from p2wss.data import reasons
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError
@@ -71,7 +72,6 @@ def scenes_cut(
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.footprints.cleaning import read_whole_blocks
     from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, cut_scene
-    from p2wss.skeleton import Status
     from p2wss.storage.schemas.scene import write_scene
 
     tile_size_m, margin_m = config.region.tile_size_m, config.scenes.margin_m
@@ -89,7 +89,7 @@ def scenes_cut(
     status = scene["status"][scene["in_tile"]].to_numpy()
     log_status_counts(out, status)
     # footprints that are too small count neither as buildings nor as failures
-    counted = status[status != Status.TOO_SMALL.reason]
+    counted = status[status != reasons.TOO_SMALL]
     check_failures(footprints, f"the footprints of tile {tile} were excluded", counted, "scenes", config)
     metadata = files.provenance(
         tile=tile,
