@@ -41,7 +41,7 @@ from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
-from p2wss.training.state import TrainingState
+from p2wss.training.loop import TrainingState
 
 CRS = "EPSG:2154"
 

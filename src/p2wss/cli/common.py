@@ -121,7 +121,7 @@ def write_trained(
     Of several processes only the main one writes.
     """
     from p2wss.nets import distributed
-    from p2wss.training.state import METRICS_NAME, remove_checkpoints
+    from p2wss.training.loop import METRICS_NAME, remove_checkpoints
 
     if not distributed.is_main_process():
         return
