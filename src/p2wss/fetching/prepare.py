@@ -1,7 +1,7 @@
 """Prepare real clouds: one file per tile with its margin, without noise, and with ground points.
 
-Classified clouds only need cropping, which laspy does. In unclassified clouds, PDAL (Butler et al. 2021), a program that
-the user installs, finds the ground. It reprojects, crops, merges and filters; the default filters are the simple
+Classified clouds only need cropping, which laspy does. In unclassified clouds, PDAL (Butler et al. 2021), a program
+that the user installs, finds the ground. It reprojects, crops, merges and filters; the default filters are the simple
 morphological filter (SMRF, Pingel et al. 2013). The pipeline is kept beside the result.
 """
 
