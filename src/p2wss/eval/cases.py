@@ -1,4 +1,4 @@
-"""The buildings to evaluate, from the shards of the stage crops, and the Parquet of their reconstructions by methods."""
+"""The buildings to evaluate, from the shards of the stage crops, and the tables of their reconstructions."""
 
 from __future__ import annotations
 
