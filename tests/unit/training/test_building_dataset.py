@@ -16,8 +16,7 @@ from p2wss.nets.batch import thin
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
-from p2wss.training.dataset import BatchSampler, TrainingLimits
-from p2wss.training.shards import describe, load_dataset
+from p2wss.training.dataset import BatchSampler, TrainingLimits, describe, load_dataset
 
 LIMITS = TrainingLimits(min_points=64, max_vertices=8, max_length_m=70)
 
