@@ -25,10 +25,9 @@ from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.schemas.measures import MEASURES
 
-# least number of points on a roof that counts as seen, and over the sloped face of an edge that does
+# least number of points on a roof that counts as seen, and over the sloped face of an edge that does; with fewer on the
+# building, distances to the roof mean nothing
 MIN_SEEN_POINTS = 10
-# with fewer points on the building, distances to the roof mean nothing
-MIN_ROOF_POINTS = 10
 PLANAR_M = 0.01
 # points nearer to the edges of the footprint may be on a wall, where a height above the roof means nothing
 INNER_M = 0.5
@@ -156,7 +155,7 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Config)
         "chamfer_m": chamfer_distance_m(subset(case, point_m, config.eval), samples),
     }
     on_building = point_m[building.is_on_building]
-    if len(on_building) >= MIN_ROOF_POINTS:
+    if len(on_building) >= MIN_SEEN_POINTS:
         roof = sample_surface(vertex_m, triangle[np.isin(mesh.kind, _ROOF)], config.eval.num_samples, draw)
         x, y, _ = building.point_m[building.is_on_building].T
         inner = on_building[shapely.contains_xy(building.polygon.buffer(-INNER_M), x, y)]
