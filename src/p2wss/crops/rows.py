@@ -1,4 +1,5 @@
-"""Crop the points of each building from real LiDAR, without labels, or from a simulated scan, with labels."""
+"""Crop the points of each building from real LiDAR, without labels, or from a simulated scan, with labels and a split by
+location, in square blocks."""
 
 from __future__ import annotations
 
@@ -10,17 +11,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import shapely
 
 from p2wss.clouds.cropping import seen_share
 from p2wss.clouds.crops import GROUND_REACH_M, CloudCrops, crop_cloud
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Crops
-from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays, reasons, tiling
 from p2wss.data.crs import check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
+from p2wss.data.seeds import generator
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage import files
 from p2wss.storage.features import Features
@@ -162,7 +164,7 @@ def crop_simulated(buildings: pa.Table, scan: Scan, settings: Crops) -> tuple[di
     reason.
 
     buildings: the columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`. Buildings in the margin of the tile are
-    not cropped, but may make buildings of the tile guards (:func:`p2wss.crops.splits.assign_splits`). scan: see
+    not cropped, but may make buildings of the tile guards (:func:`p2wss.crops.rows.assign_splits`). scan: see
     :func:`scan_of`.
     """
     cloud, building_of_point, face_of_point = scan
@@ -192,3 +194,41 @@ def crop_simulated(buildings: pa.Table, scan: Scan, settings: Crops) -> tuple[di
         "num_wall_points": count_true(on_wall, cropped.offset)[selection].astype(np.int32),
     }
     return columns, num_excluded
+
+
+def assign_splits(polygons: Polygons, settings: Crops) -> np.ndarray:
+    """The split of each polygon: "train", "val", "test" or "guard" (object array).
+
+    polygons: in the CRS, not in local coordinates. The block of a polygon is that of its centroid. In every group of 5
+    by 2 blocks, one block is drawn for val and another for test, so that the shares approach 80, 10 and 10 percent of a
+    large area. A val or test building closer than ``guard_m`` to a building of another split becomes guard and is not
+    used. A polygon without rings is guard too. If ``settings.split`` names a split, all other polygons are in it.
+    """
+    shapes = polygon_arrays.to_geometries(polygons)
+    split = np.full(len(shapes), "guard", dtype=object)
+    rows = np.flatnonzero(~shapely.is_empty(shapes))
+    if settings.split != "blocks":
+        split[rows] = settings.split
+        return split
+    shapes = shapes[rows]
+    centroid = shapely.centroid(shapes)
+    block = np.floor(shapely.get_coordinates(centroid) / settings.block_size_m).astype(np.int64)
+    group, position = block // [5, 2], block % [5, 2]
+    groups, group_index = np.unique(group, axis=0, return_inverse=True)
+    # per group of blocks: the numbers (0 to 9) of its val block and of its test block
+    val_and_test = np.array(
+        [generator(settings.seed, "crops", "split", x, y).permutation(10)[:2] for x, y in groups.tolist()]
+    ).reshape(-1, 2)[group_index.ravel()]
+    number = position[:, 0] + 5 * position[:, 1]
+    block_split = np.where(number == val_and_test[:, 0], "val", "train").astype(object)
+    block_split[number == val_and_test[:, 1]] = "test"
+
+    held_out = np.flatnonzero(block_split != "train")
+    index, neighbour = shapely.STRtree(shapes).query(
+        shapes[held_out], predicate="dwithin", distance=settings.guard_m
+    )
+    index = held_out[index]
+    guarded_split = block_split.copy()
+    guarded_split[index[block_split[index] != block_split[neighbour]]] = "guard"
+    split[rows] = guarded_split
+    return split

@@ -19,8 +19,7 @@ from p2wss.clouds.crops import crop_cloud, ground_height, roofs_around
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
-from p2wss.crops.rows import crop_real, crop_simulated
-from p2wss.crops.splits import assign_splits
+from p2wss.crops.rows import assign_splits, crop_real, crop_simulated
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import tile_name

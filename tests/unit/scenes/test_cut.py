@@ -12,7 +12,7 @@ from places import SHARED
 from p2wss.cli import main
 from p2wss.cli.common import check_failures
 from p2wss.config import Crops, Scenes, load
-from p2wss.crops.splits import assign_splits
+from p2wss.crops.rows import assign_splits
 from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
