@@ -1,5 +1,5 @@
-"""Crop the points of each building from real LiDAR, without labels, or from a simulated scan, with labels and a split by
-location, in square blocks."""
+"""Crop the points of each building from real LiDAR, without labels, or from a simulated scan, with labels and a
+split by location, in square blocks."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Materials of walls, roofs and ground: names, their types in ITU-R P.2040 with the electrical properties that it states
-(as Sionna RT 2.2 has them, too), colours, and the codes of BD TOPO.
+"""Materials of walls, roofs and ground: names, their types in ITU-R P.2040 with the electrical properties that it
+states (as Sionna RT 2.2 has them, too), colours, and the codes of BD TOPO.
 
 BD TOPO's ``materiaux_des_murs`` and ``materiaux_de_la_toiture`` (``MAT_MURS`` and ``MAT_TOITS`` in shapefiles) hold two
 characters from the tax files, one for each of two materials: the variables ``dmatgm`` (matériaux des gros murs) and
