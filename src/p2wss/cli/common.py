@@ -19,7 +19,7 @@ from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config
 from p2wss.data import reasons
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.errors import InputError, reading, writing
 from p2wss.storage.log_lines import first_of, log
 
 if TYPE_CHECKING:
@@ -268,11 +268,8 @@ def check_out(out: Path, config: Config) -> None:
     folder = existing_folder(out)
     if not folder.is_dir():
         raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(f"{out}: not written: {error.strerror or error}") from error
+    with writing(out), tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 def existing_folder(out: Path) -> Path:

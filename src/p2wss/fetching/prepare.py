@@ -28,7 +28,7 @@ from p2wss.fetching.cloud import (
     write_cloud,
 )
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import InputError, writing
 from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import temporary_folder
 
@@ -92,10 +92,8 @@ def prepare(
     for path in paths:
         check_cloud(path, window.clouds_crs)
     has_colours = {"red", "nir"} & set(read_header(paths[0]).point_format.dimension_names)
-    try:
+    with writing(out):
         facts = run_pdal(command, out, paths, window, 7 if has_colours else 6, stages, config.pdal_timeout_s)
-    except OSError as error:
-        raise InputError(f"{out}: not written: {error.strerror or error}") from error
     return facts | {"by": "pdal", "reason": reason}
 
 

@@ -26,7 +26,7 @@ from p2wss.data.points import points_on_building
 from p2wss.data.seeds import generator
 from p2wss.nets.batch import SEED_STRIDE, Batch, cut
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import InputError, writing
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
 
 # buildings are sorted by length within a window of this many batches, so that little is padding
@@ -197,25 +197,22 @@ def load_dataset(
     listing = read_manifest(manifest)
     excluded: Counter[str] = Counter()
     parts = []
-    try:
-        with tempfile.TemporaryFile(dir=folder) as file:
-            for shard in listing.shards:
-                purposes = splits if shard.dataset == SIMULATED else ["dvae"]
-                if shard.dataset != SIMULATED and (labelled or not include_real):
-                    continue
-                select = partial(listing.select, dataset=shard.dataset, purposes=purposes)
-                part = _read_shard(shard.verified(), select, limits, labelled, excluded)
-                file.write(part.points_cm.tobytes())
-                parts.append(replace(part, points_cm=part.points_cm[:0]))
-            if not any(map(len, parts)):
-                raise InputError(
-                    f"{manifest}: no building of split {' or '.join(splits)} can be used"
-                    + (f" (excluded: {_counts(excluded)})" if excluded else "")
-                )
-            file.flush()
-            points = np.memmap(file, np.int16, "r").view(np.ndarray).reshape(-1, 3)
-    except OSError as error:
-        raise InputError(f"the points of {manifest}: temporary file: {error.strerror or error}") from error
+    with writing(f"the points of {manifest}: temporary file"), tempfile.TemporaryFile(dir=folder) as file:
+        for shard in listing.shards:
+            purposes = splits if shard.dataset == SIMULATED else ["dvae"]
+            if shard.dataset != SIMULATED and (labelled or not include_real):
+                continue
+            select = partial(listing.select, dataset=shard.dataset, purposes=purposes)
+            part = _read_shard(shard.verified(), select, limits, labelled, excluded)
+            file.write(part.points_cm.tobytes())
+            parts.append(replace(part, points_cm=part.points_cm[:0]))
+        if not any(map(len, parts)):
+            raise InputError(
+                f"{manifest}: no building of split {' or '.join(splits)} can be used"
+                + (f" (excluded: {_counts(excluded)})" if excluded else "")
+            )
+        file.flush()
+        points = np.memmap(file, np.int16, "r").view(np.ndarray).reshape(-1, 3)
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(part, name) for part in parts])

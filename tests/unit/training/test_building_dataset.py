@@ -172,5 +172,5 @@ def test_the_points_leave_no_file_and_a_full_disk_is_one_clear_line(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("tempfile.TemporaryFile", full)
-    with pytest.raises(InputError, match="temporary file: No space left on device"):
+    with pytest.raises(InputError, match="temporary file: not written: No space left on device"):
         load_dataset(manifest, ["train"], LIMITS, labelled=True, folder=tmp_path)
