@@ -1,4 +1,5 @@
-"""The training loop of both stages: seeds, checkpoints, metrics, and the state that changes while a network trains.
+"""The training loop of both stages: seeds, checkpoints, metrics, the state that changes while a network trains, its
+lock.
 
 Everything random in step i follows from (seed, i) alone. A run that was stopped and resumed therefore takes the
 same steps as one that was not, bit for bit on a CPU.
@@ -12,13 +13,14 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
+from filelock import FileLock, Timeout
 from torch import Tensor, nn
 
 from p2wss.config import Optimiser, Section
@@ -35,6 +37,8 @@ METRICS_EVERY_STEPS = 20
 WORKFLOW_VARIABLE = "P2WSS_WORKFLOW_PROCESS"
 METRICS_NAME = "metrics.jsonl"
 MAX_CHECKPOINTS = 2
+# a training whose Snakemake was killed stops at its next step; the following training waits for it this long
+_PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -304,3 +308,37 @@ def _parameter_groups(module: nn.Module, weight_decay: float) -> list[dict[str, 
 
 def _checkpoints(folder: Path) -> dict[int, Path]:
     return {int(path.stem.removeprefix("step-")): path for path in folder.glob("step-*.pt")}
+
+
+@contextmanager
+def training_lock(checkpoints: Path, patience_s: float = _PATIENCE_S) -> Iterator[None]:
+    """Hold the folder of a training, by a file beside it. The lock ends with the process, however the process ends.
+
+    If a training has several processes, the main one holds the lock. If another training holds the folder, this waits
+    for ``patience_s``, as that training may be about to stop. Raises :class:`InputError` if it goes on, or if the file
+    cannot be written.
+    """
+    if not distributed.is_main_process():
+        yield
+        return
+    path = checkpoints.absolute().with_name(f"{checkpoints.absolute().name}.lock")
+    lock = FileLock(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            log.info("%s: another training runs in this folder; waiting for it to stop", checkpoints)
+            lock.acquire(timeout=patience_s, poll_interval=0.2)
+    except Timeout:
+        raise InputError(f"{checkpoints}: another training runs in this folder") from None
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        # while no other training can begin; removes the folder only if it is empty
+        with suppress(OSError):
+            checkpoints.rmdir()
+        path.unlink(missing_ok=True)
+        lock.release()
