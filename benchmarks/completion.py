@@ -37,7 +37,7 @@ from p2wss.storage import files
 from p2wss.storage.log_lines import start
 from p2wss.storage.provenance import fingerprint
 from p2wss.training import loop
-from p2wss.training.lock import training_lock
+from p2wss.training.loop import training_lock
 
 _CHECKPOINT_EVERY_STEPS, _NUM_VALIDATION = 500, 512
 # share of the drawn buildings that is kept for validation

@@ -17,7 +17,7 @@ import shapely
 from p2wss.clouds import crops as cloud_crops
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Buildings, Clutter, Crops, Scans
-from p2wss.crops.simulated import crop_simulated
+from p2wss.crops.rows import crop_simulated
 from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds

@@ -25,7 +25,7 @@ from figures import Figures
 
 from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Config
-from p2wss.crops.simulated import crop_simulated
+from p2wss.crops.rows import crop_simulated
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
 from p2wss.eval.measure import target_height_m

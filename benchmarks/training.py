@@ -42,9 +42,8 @@ from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
 from p2wss.training.dataset import BuildingDataset
 from p2wss.training.dvae import DvaeTask
-from p2wss.training.loop import Task
+from p2wss.training.loop import Task, TrainingState, learning_rate
 from p2wss.training.model import ModelTask
-from p2wss.training.state import TrainingState, learning_rate
 
 # numbers of vertices of footprints and their shares, about as in the town of the miniature
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]

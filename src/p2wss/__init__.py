@@ -376,6 +376,6 @@ def scan(
     (True, 8)
     """
     from p2wss.config import as_config
-    from p2wss.scans.meshes import scan_meshes
+    from p2wss.scans.scan import scan_meshes
 
     return scan_meshes(meshes, terrain, crs, as_config(config).scans, seed, threads)

@@ -46,7 +46,7 @@ from p2wss.config import Scenes, load
 from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain
 from p2wss.eval import cases, report, tables
-from p2wss.eval.reconstructions import read_reconstructions
+from p2wss.eval.cases import read_reconstructions
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.nets import weights_file

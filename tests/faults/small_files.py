@@ -18,7 +18,7 @@ import toy_scene
 
 from p2wss.clouds.scan_files import write_scan
 from p2wss.data.building import Reconstruction
-from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
+from p2wss.eval.cases import RECONSTRUCTIONS, reconstruction_columns
 from p2wss.mesh import Mesh
 from p2wss.nets.weights import write_weights
 from p2wss.storage import files

@@ -9,8 +9,7 @@ from pathlib import Path
 from p2wss.data.building import Reconstruction
 from p2wss.data.manifest import read_manifest
 from p2wss.eval import cases, methods
-from p2wss.eval.cases import Case
-from p2wss.eval.reconstructions import Key
+from p2wss.eval.cases import Case, Key
 
 
 def all_test_cases(manifest: Path) -> list[Case]:

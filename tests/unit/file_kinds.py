@@ -30,7 +30,7 @@ from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.config import Optimiser
 from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain, write_terrain
-from p2wss.eval.reconstructions import RECONSTRUCTIONS
+from p2wss.eval.cases import RECONSTRUCTIONS
 from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetching import bdtopo
 from p2wss.fetching.cloud import write_cloud
@@ -41,7 +41,7 @@ from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
-from p2wss.training.state import TrainingState
+from p2wss.training.loop import TrainingState
 
 CRS = "EPSG:2154"
 

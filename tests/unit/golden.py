@@ -20,7 +20,7 @@ from p2wss.config import load
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.weights import save_dvae
 from p2wss.training import dvae, loop, model
-from p2wss.training.state import METRICS_NAME
+from p2wss.training.loop import METRICS_NAME
 
 PATH = Path(__file__).with_name("golden.json")
 NUM_STEPS = 10

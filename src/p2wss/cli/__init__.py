@@ -76,10 +76,6 @@ def importing(*without: str) -> Iterator[None]:
 class Program(click.Group):
     """The commands, which are imported when they are called."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names of the commands in the order of the help."""
-        return list(self.commands)
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command, imported from its module; None if there is no such command."""
         if cmd_name not in self.commands:

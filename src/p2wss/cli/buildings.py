@@ -7,11 +7,10 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import config_option, log_status_counts
+from p2wss.cli.common import check_failures, config_option, log_status_counts
 from p2wss.cli.parser import Command, file_option
 from p2wss.config import Config, section_json
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.provenance import fingerprint
 
 
@@ -21,7 +20,7 @@ from p2wss.storage.provenance import fingerprint
 @config_option
 def buildings(scene: Path, out: Path, config: Config) -> None:
     """Build the closed meshes of one scene."""
-    from p2wss.scenes.buildings import build_scene, failed_fraction
+    from p2wss.scenes.buildings import build_scene
     from p2wss.storage.schemas.buildings import BUILDINGS
     from p2wss.storage.schemas.scene import read_scene
 
@@ -29,13 +28,8 @@ def buildings(scene: Path, out: Path, config: Config) -> None:
     columns = build_scene(table, config.buildings)
     status = columns["status"]
     log_status_counts(out, status)
-    failed = failed_fraction(table["status"].to_numpy(), status)
-    if failed > config.buildings.max_failed_fraction:
-        raise InputError(
-            f"{scene}: {failed:.1%} of its buildings were rejected, more than "
-            f"buildings.max_failed_fraction {config.buildings.max_failed_fraction:.1%}; "
-            "the reasons are listed above"
-        )
+    built = status[table["status"].to_numpy() == "ok"]
+    check_failures(scene, "its buildings were rejected", built, "buildings", config)
     metadata = files.provenance(
         **{name: facts[name] for name in ("tile", "tile_size_m", "margin_m", "crs")},
         place=facts.get("place", ""),

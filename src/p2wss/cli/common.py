@@ -1,8 +1,10 @@
-"""Shared by the commands: options, threads and log lines."""
+"""Shared by the commands: options, threads, checks of arguments and log lines."""
 
 from __future__ import annotations
 
 import logging
+import os
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -13,14 +15,16 @@ import click
 from typing_extensions import TypedDict
 
 from p2wss.cli.parser import PATH, file_option, option, setting
-from p2wss.config import Config
+from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config
 from p2wss.data import reasons
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.errors import InputError, reading, writing
 from p2wss.storage.log_lines import first_of, log
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from p2wss.reconstruction.scene import Scene
 
 CITY = (".json", ".jsonl")
@@ -119,7 +123,7 @@ def write_trained(
     Of several processes only the main one writes.
     """
     from p2wss.nets import distributed
-    from p2wss.training.state import METRICS_NAME, remove_checkpoints
+    from p2wss.training.loop import METRICS_NAME, remove_checkpoints
 
     if not distributed.is_main_process():
         return
@@ -210,9 +214,66 @@ def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:
     return tile_bounds(tile, config.region.tile_size_m, margin_m)
 
 
+def check_failures(path: Path, what: str, status: np.ndarray, section: str, config: Config) -> None:
+    """Raise :class:`InputError` if a larger share of buildings, by their ``status``, is not ok than
+    ``max_failed_fraction`` of a section of the config. what: the buildings and what befell them, for the message."""
+    share = (status != "ok").mean() if len(status) else 0.0
+    most = getattr(config, section).max_failed_fraction
+    if share > most:
+        raise InputError(
+            f"{path}: {share:.1%} of {what}, more than {section}.max_failed_fraction {most:.1%}; the reasons are"
+            " listed above"
+        )
+
+
 def log_status_counts(out: Path, status: Iterable[str]) -> None:
     """Log one line: the number of buildings with status ok, and the number of others per reason."""
     counts = Counter(map(str, status))
     num_ok = counts.pop("ok", 0)
     reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none"
     log.info(f"{out.name}: {num_ok} buildings ok, {counts.total()} excluded ({reasons})")
+
+
+def check_arguments(out: Path, terrain: Path | None, tile: str | None, config: Config) -> None:
+    """Check the arguments of ``p2wss reconstruct`` that are no inputs, before anything slow is imported or read.
+
+    Raises :class:`InputError`, in one line, for an argument that cannot work; logs a warning for one without effect.
+    """
+    check_out(out, config)
+    if tile is not None:
+        tile_bounds(tile, config.region.tile_size_m)
+    outputs = config.reconstruct.outputs
+    names = ", ".join(outputs)
+    if config.reconstruct.vegetation and {*outputs} <= {"gpkg", "geoparquet"}:
+        log.warning("warning: --vegetation has no effect on files: none of %s has plants", names)
+    if any(name not in TABLES_AND_MODELS for name in outputs):
+        return
+    if terrain is not None and "report" not in outputs:  # the page of the report shows it
+        raise InputError(
+            f"--terrain {terrain}: {names} cannot hold a terrain; add a mesh format to --outputs, such as"
+            " glb, or omit --terrain"
+        )
+    for name in ("per_building", "skin"):
+        if getattr(config.reconstruct, name):
+            text = "warning: --%s has no effect on files: none of %s is a mesh format"
+            log.warning(text, name.replace("_", "-"), names)
+
+
+def check_out(out: Path, config: Config) -> None:
+    """Raise :class:`InputError` if ``out`` is no folder, is named like a file, or cannot be written to, and
+    ``ModuleNotFoundError`` if a format needs a missing package."""
+    if config.reconstruct.writes_parquet:
+        import pyarrow.parquet  # noqa: F401
+    files.check_folder(out, OUTPUT_SUFFIXES.values())
+    folder = existing_folder(out)
+    if not folder.is_dir():
+        raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")
+    with writing(out), tempfile.TemporaryFile(dir=folder):
+        pass
+
+
+def existing_folder(out: Path) -> Path:
+    """``out``, or the nearest folder above it that exists."""
+    while not os.path.lexists(out):
+        out = out.parent
+    return out

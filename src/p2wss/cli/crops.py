@@ -29,7 +29,7 @@ def crops() -> None:
 @config_option
 def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> None:
     """Crop a simulated scan, with labels."""
-    from p2wss.crops.simulated import crop_simulated, scan_of
+    from p2wss.crops.rows import crop_simulated, scan_of
     from p2wss.storage.schemas.buildings import BUILDINGS
 
     facts = files.read_metadata(buildings)
@@ -56,7 +56,7 @@ def crops_real(
     tile: str, place: str, footprints: Path, clouds: tuple[Path, ...], out: Path, config: Config
 ) -> None:
     """Crop real LiDAR, without labels."""
-    from p2wss.crops.real import crop_real
+    from p2wss.crops.rows import crop_real
     from p2wss.data.las_classes import class_set
     from p2wss.footprints import cleaning
 

@@ -29,7 +29,7 @@ def dvae(
     set_num_threads(threads)
     from p2wss.nets.weights import save_dvae
     from p2wss.training import dvae
-    from p2wss.training.lock import training_lock
+    from p2wss.training.loop import training_lock
 
     code = fingerprint("training.dvae")
     with training_lock(checkpoints):

@@ -73,7 +73,7 @@ def eval_reconstruct(
     from p2wss.config import roofer_command
     from p2wss.data.manifest import read_manifest
     from p2wss.eval import cases, methods
-    from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
+    from p2wss.eval.cases import RECONSTRUCTIONS, reconstruction_columns
 
     listed = read_manifest(manifest, shards or None)
     inputs = methods.Inputs(config)
@@ -119,9 +119,8 @@ def eval_measure(
 ) -> None:
     """Measure the errors of all reconstructions."""
     from p2wss.data.manifest import read_manifest
-    from p2wss.eval.cases import test_cases
+    from p2wss.eval.cases import read_reconstructions, test_cases
     from p2wss.eval.measure import measure
-    from p2wss.eval.reconstructions import read_reconstructions
     from p2wss.storage.schemas.measures import MEASURES
 
     num_rows, of_files = 0, [files.read_metadata(path) for path in reconstructions]

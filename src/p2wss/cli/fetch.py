@@ -159,8 +159,7 @@ def fetch_lidar(tile: str, out: Path, downloads: Path | None, config: Config) ->
 def fetch_prepare(tile: str, clouds: tuple[Path, ...], out: Path, config: Config) -> None:
     """Crop the LiDAR of one tile and classify its ground points."""
     from p2wss.data.las_classes import class_set
-    from p2wss.fetching.pdal import Window
-    from p2wss.fetching.prepare import prepare
+    from p2wss.fetching.prepare import Window, prepare
     from p2wss.fetching.source import delivery_window
 
     holes = [bounds_of_tile(path.stem, config) for path in clouds[1:]]

@@ -30,7 +30,7 @@ def model(
     set_num_threads(threads)
     from p2wss.nets.weights import save_model
     from p2wss.training import model
-    from p2wss.training.lock import training_lock
+    from p2wss.training.loop import training_lock
 
     code = fingerprint("training.model")
     with training_lock(checkpoints):

@@ -9,12 +9,14 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from p2wss.cli import argument_checks, importing
+from p2wss.cli import importing
 from p2wss.cli.common import (
+    check_arguments,
     classes_option,
     config_option,
     crs_option,
     device_option,
+    existing_folder,
     inputs_argument,
     log_options,
     threads_option,
@@ -135,7 +137,7 @@ def reconstruct(
     if not clouds:
         raise click.UsageError("CLOUD, FOOTPRINTS or OUT is missing", context)
     files.check_stem(name or "")
-    argument_checks.check(out, terrain, chosen["tile"], config)
+    check_arguments(out, terrain, chosen["tile"], config)
     with importing(*WITHOUT):
         from p2wss.reconstruction.inputs import check_inputs
 
@@ -144,7 +146,7 @@ def reconstruct(
     checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty, lines)
     with importing():
         from p2wss.reconstruction import run  # only now, as it takes a second
-    machine = run.Machine(device, threads, argument_checks.existing_folder(out))
+    machine = run.Machine(device, threads, existing_folder(out))
     if chosen["bbox"] is not None:
         from p2wss.fetching.area import bounds_of_bbox  # which loads pandas
 

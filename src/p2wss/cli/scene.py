@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli import argument_checks
-from p2wss.cli.common import config_option, log_options, threads_option, write_run
+from p2wss.cli.common import check_out, config_option, log_options, threads_option, write_run
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import ALL, IGN, Config, load
 from p2wss.storage.errors import InputError
@@ -103,7 +102,7 @@ def scene(
     print(plan.format_estimates(config, estimates), flush=True)
     if dry_run:
         return 0
-    argument_checks.check_out(out, config)
+    check_out(out, config)
     start = time.monotonic()
     data = fetch_area(bounds, crs, out / "data", config)
     with p2wss.reconstruct(

@@ -7,9 +7,18 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import bounds_of_tile, config_option, log, log_status_counts, place_option, tile_option
+from p2wss.cli.common import (
+    bounds_of_tile,
+    check_failures,
+    config_option,
+    log,
+    log_status_counts,
+    place_option,
+    tile_option,
+)
 from p2wss.cli.parser import Group, file_option
 from p2wss.config import OF_CLOUDS, TILE_LISTS, Config, member_places, place_config, section_json
+from p2wss.data import reasons
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError
@@ -62,7 +71,7 @@ def scenes_cut(
     from p2wss.data.crs import check_crs
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.footprints.cleaning import read_whole_blocks
-    from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
+    from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, cut_scene
     from p2wss.storage.schemas.scene import write_scene
 
     tile_size_m, margin_m = config.region.tile_size_m, config.scenes.margin_m
@@ -77,13 +86,11 @@ def scenes_cut(
     scene["tile"] = place + scene["tile"]
     if not scene["in_tile"].any():
         log.warning(f"{footprints}: has no building in tile {tile}: an empty scene")
-    log_status_counts(out, scene["status"][scene["in_tile"]])
-    failed = failed_fraction(scene)
-    if failed > config.scenes.max_failed_fraction:
-        raise InputError(
-            f"{footprints}: {failed:.1%} of the footprints of tile {tile} were excluded, more than "
-            f"scenes.max_failed_fraction {config.scenes.max_failed_fraction:.1%}; the reasons are listed above"
-        )
+    status = scene["status"][scene["in_tile"]].to_numpy()
+    log_status_counts(out, status)
+    # footprints that are too small count neither as buildings nor as failures
+    counted = status[status != reasons.TOO_SMALL]
+    check_failures(footprints, f"the footprints of tile {tile} were excluded", counted, "scenes", config)
     metadata = files.provenance(
         tile=tile,
         place=place,
@@ -92,7 +99,7 @@ def scenes_cut(
         crs=config.region.crs,
         config=section_json(config, "region", "scenes", without=(*TILE_LISTS, *OF_CLOUDS)),
         code=fingerprint("scenes.cut"),
-        num_by_status=dict(sorted(Counter(scene["status"][scene["in_tile"]]).items())),
+        num_by_status=dict(sorted(Counter(status).items())),
     )
     write_terrain(out_dtm, window, config.region.crs, metadata)
     write_scene(out, scene, metadata)

@@ -11,7 +11,7 @@ import click
 import p2wss
 from p2wss.cli.common import log
 from p2wss.cli.parser import PATH, Command, Group
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import InputError, writing
 
 PARTS = ("Snakefile", "workflow", "config", "profiles", "envs", "tests/mini")
 
@@ -28,13 +28,11 @@ def workflow_init(folder: Path) -> None:
     sources = {name: _origin() / name for name in PARTS} | {"models": Path(p2wss.__file__).parent / "weights"}
     if taken := [name for name in sources if (folder / name).exists()]:
         raise InputError(f"{folder / taken[0]}: exists; name a folder without a project")
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, source in sources.items():
             copy = shutil.copytree if source.is_dir() else shutil.copy
             copy(source, folder / name)
-    except OSError as error:
-        raise InputError(f"{folder}: not written: {error.strerror or error}") from error
     log.info(
         "%s: rules, configs, profiles and the miniature; next: cd %s && snakemake -c2 eval_report",
         folder,

@@ -4,16 +4,11 @@
 imports no slow modules, because the Snakefile imports it at every start.
 """
 
-from p2wss.config.ablation import Ablation
 from p2wss.config.base import Section
-from p2wss.config.buildings import Buildings
-from p2wss.config.crops import Crops
-from p2wss.config.dataset import Dataset, Member
-from p2wss.config.dvae import Dvae
+from p2wss.config.crops import Crops, Dataset, Member
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import IGN, Fetch, Folder, Geoplateforme, Prepare
 from p2wss.config.load import as_config, load, measure_json, method_json, section_json
-from p2wss.config.model import Augmentation, Decoding, LossWeights, Masking, Model, ModelOptimiser
 from p2wss.config.places import (
     PLACE_PATTERN,
     dataset_name,
@@ -34,9 +29,21 @@ from p2wss.config.reconstruct import (
 )
 from p2wss.config.region import ALL, CLASSES_ALONE, OF_CLOUDS, TILE_LISTS, Classes, ClassPreset, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
-from p2wss.config.scenes import RoofShares, Scenes
+from p2wss.config.scenes import Buildings, RoofShares, Scenes
 from p2wss.config.sections import Config, ablated
-from p2wss.config.training import Compute, DeviceName, Optimiser
+from p2wss.config.training import (
+    Ablation,
+    Augmentation,
+    Compute,
+    Decoding,
+    DeviceName,
+    Dvae,
+    LossWeights,
+    Masking,
+    Model,
+    ModelOptimiser,
+    Optimiser,
+)
 
 __all__ = [
     "ALL",

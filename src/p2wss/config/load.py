@@ -40,13 +40,10 @@ def as_config(config: Config | str | Path | dict[str, Any] | None, detail: str |
 
     Raises :class:`InputError` for an unknown key or value.
     """
+    stated = {} if detail is None else {"reconstruct": {"detail": detail}}
     if not isinstance(config, Config):
-        config = load(config or {})
-    if detail is None:
-        return config
-    checked = load({"reconstruct": {"detail": detail}}).reconstruct.detail
-    section = config.reconstruct.model_copy(update={"detail": checked})
-    return config.model_copy(update={"reconstruct": section})
+        return load(config or {}, stated)
+    return load(config.model_dump(mode="json", exclude_unset=True), stated) if stated else config
 
 
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:

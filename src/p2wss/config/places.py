@@ -10,7 +10,7 @@ from __future__ import annotations
 from zlib import crc32
 
 from p2wss.config.base import merge
-from p2wss.config.dataset import Member
+from p2wss.config.crops import Member
 from p2wss.config.region import ALL, TILE_LISTS
 from p2wss.config.sections import MEMBER_SECTIONS, Config
 

@@ -1,4 +1,5 @@
-"""Section scenes: tiles with clean footprints, heights and roof angles."""
+"""Section scenes: tiles with clean footprints, heights and roof angles. Section buildings: their meshes from the
+weighted straight skeleton."""
 
 from __future__ import annotations
 
@@ -79,4 +80,15 @@ class Scenes(Section):
         0.1,
         description="the job fails if a larger share of the footprints is excluded; footprints that are too "
         "small do not count",
+    )
+
+
+class Buildings(Section):
+    """Stage buildings: closed meshes from the weighted straight skeleton."""
+
+    max_roof_height_m: float = Field(
+        12, gt=0, description="roofs that would rise further above the eaves are cut off horizontally"
+    )
+    max_failed_fraction: Share = Field(
+        0.02, description="the job fails if a larger share of the buildings is rejected"
     )

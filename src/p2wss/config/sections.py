@@ -7,19 +7,15 @@ from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator
 
-from p2wss.config.ablation import Ablation
 from p2wss.config.base import Section, merge
-from p2wss.config.buildings import Buildings
-from p2wss.config.crops import Crops
-from p2wss.config.dataset import Dataset
-from p2wss.config.dvae import Dvae
+from p2wss.config.crops import Crops, Dataset
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import Fetch
-from p2wss.config.model import Model
 from p2wss.config.reconstruct import Reconstruct
 from p2wss.config.region import Region
 from p2wss.config.scans import Scans
-from p2wss.config.scenes import Scenes
+from p2wss.config.scenes import Buildings, Scenes
+from p2wss.config.training import Ablation, Dvae, Model
 
 S = TypeVar("S", bound=Section)
 # sections that a member of a data set may change

@@ -200,19 +200,17 @@ def metric_crs(
         raise InputError(
             f"{name}: is in {source.name}, in degrees, and has no points that tell in which zone of UTM"
         )
-    if flat.is_geographic and bounds is not None:
-        crs = _with_heights_of(source, pyproj.CRS.from_epsg(_utm_code(flat, bounds, name)))
-        note = f"the clouds are in {name_of}, in degrees; processing and outputs are in {crs.name}"
-        return MetricCrs(source, crs, None, stated_m or 1.0), note
-    factors = {axis.unit_conversion_factor for axis in flat.axis_info}
-    if not flat.is_projected or len(factors) != 1:
+    factors = {1.0 if flat.is_geographic else axis.unit_conversion_factor for axis in flat.axis_info}
+    if not (flat.is_projected or flat.is_geographic) or len(factors) != 1:
         raise InputError(
             f"{name}: {source.name} is not a projected CRS and cannot be transformed to one in metres; state another"
             " with --crs, or reproject it"
         )
     (horizontal_m,) = factors
-    vertical_m = horizontal_m if stated_m is None else stated_m
-    if bounds is not None and (why := _unlike_the_ground(flat, bounds)):
+    vertical_m = stated_m or horizontal_m
+    if bounds is not None and (
+        why := "in degrees" if flat.is_geographic else _unlike_the_ground(flat, bounds)
+    ):
         crs = _with_heights_of(source, pyproj.CRS.from_epsg(_utm_code(flat, bounds, name)))
         note = f"the clouds are in {name_of}, {why}; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, vertical_m), note

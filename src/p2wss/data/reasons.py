@@ -15,6 +15,7 @@ NON_FINITE = "non-finite"
 IMPLAUSIBLE_SIZE = "implausible-size"
 TOO_MANY_CROSSINGS = "too-many-crossings"
 TOO_MANY_EDGES = "too-many-edges"
+TOO_SMALL = "too-small"
 HAS_PARTS = "has-parts"
 DUPLICATE = "duplicate"
 WITHIN_OTHER = "within-other"
@@ -110,7 +111,7 @@ MEANINGS: dict[str, str] = {
     OTHER_CLOUDS: "the recorded outputs of Roofer were made from other points than those of the tile now",
     OTHER_POINTS: "the recorded mesh of Roofer is of the same simulated building, from as many other points",
     # of the kernel, in the order of its checks
-    "too-small": "the footprint is smaller than scenes.min_area_m2",
+    TOO_SMALL: "the footprint is smaller than scenes.min_area_m2",
     TOO_MANY_EDGES: "the footprint has more edges than scenes.max_edges, or a ring has more than the kernel supports",
     "not-simple": "a ring of the footprint crosses or touches itself or another ring",
     "courtyard-outside": "a courtyard is outside the exterior, or inside another courtyard",

@@ -13,23 +13,21 @@ from p2wss import skeleton
 from p2wss.config import Config, Eval
 from p2wss.data.building import Reconstruction
 from p2wss.data.seeds import generator
-from p2wss.eval.cases import Case
+from p2wss.eval.cases import Case, Key
 from p2wss.eval.methods import MASKED
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
 from p2wss.eval.metrics.structure import false_and_missing_share
-from p2wss.eval.reconstructions import Key
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh, sample_surface
 from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.schemas.measures import MEASURES
 
-# least number of points on a roof that counts as seen, and over the sloped face of an edge that does
+# least number of points on a roof that counts as seen, and over the sloped face of an edge that does; with fewer on the
+# building, distances to the roof mean nothing
 MIN_SEEN_POINTS = 10
-# with fewer points on the building, distances to the roof mean nothing
-MIN_ROOF_POINTS = 10
 PLANAR_M = 0.01
 # points nearer to the edges of the footprint may be on a wall, where a height above the roof means nothing
 INNER_M = 0.5
@@ -157,7 +155,7 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Config)
         "chamfer_m": chamfer_distance_m(subset(case, point_m, config.eval), samples),
     }
     on_building = point_m[building.is_on_building]
-    if len(on_building) >= MIN_ROOF_POINTS:
+    if len(on_building) >= MIN_SEEN_POINTS:
         roof = sample_surface(vertex_m, triangle[np.isin(mesh.kind, _ROOF)], config.eval.num_samples, draw)
         x, y, _ = building.point_m[building.is_on_building].T
         inner = on_building[shapely.contains_xy(building.polygon.buffer(-INNER_M), x, y)]

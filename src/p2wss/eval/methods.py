@@ -44,7 +44,7 @@ class Inputs(NamedTuple):
 
 
 def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reconstruction]:
-    """The reconstructions of a method for the cases of one shard, in order.
+    """The reconstructions of a method for the cases of one shard, at least one, in order.
 
     Cases for which it was not run are left out: all cases if Roofer cannot be run, cases without labels for the masked
     settings. ``point2wss`` is the paper's method, the network with the views of its training; a building that it cannot
@@ -52,8 +52,6 @@ def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reco
     result of the method, with the reason as its status. ``constant``: all buildings with the median height and angle.
     Raises :class:`InputError` for an unknown name.
     """
-    if not cases:
-        return []
     config = for_dataset(inputs.config.reconstruct, cases[0].dataset)
     buildings = [case.building for case in cases]
     if method == "lod1":

@@ -19,8 +19,7 @@ from p2wss.config.fetch import Folder
 from p2wss.data.building import Reconstruction
 from p2wss.data.manifest import read_manifest
 from p2wss.eval import figures, tables
-from p2wss.eval.cases import Case, cases_of
-from p2wss.eval.reconstructions import Key, read_reconstructions
+from p2wss.eval.cases import Case, Key, cases_of, read_reconstructions
 from p2wss.eval.viewer import View, choices, viewer
 from p2wss.formats import viewer as page_parts
 from p2wss.storage import files, integrity

@@ -10,9 +10,8 @@ import pandas as pd
 
 from p2wss.data.building import Reconstruction
 from p2wss.data.points import stride
-from p2wss.eval.cases import Case
+from p2wss.eval.cases import Case, Key
 from p2wss.eval.figures import COLORS
-from p2wss.eval.reconstructions import Key
 from p2wss.formats.viewer import OTHER_COLORS, Layer, Shown
 from p2wss.formats.viewer import viewer as view_of
 from p2wss.mesh.surface import distance_to_mesh

@@ -41,7 +41,6 @@ ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "cent
 OF_INPUT = "p2wss_input "
 # column of sets: numbers that parts of a feature must not get, as their ids would be ids of other features of the file
 _TAKEN = "p2wss_taken_part_numbers"
-_TOO_SMALL = skeleton.Status.TOO_SMALL.reason
 
 
 def read_footprints(
@@ -198,7 +197,7 @@ def clean_footprints(features: Features, config: Scenes) -> Features:
     """
     features = split_parts(features, config.min_area_m2, config.simplify_m)
     is_small = (features["status"] == reasons.OK) & (shapely.area(features.geometry) < config.min_area_m2)
-    features = _excluding(features, is_small, _TOO_SMALL)
+    features = _excluding(features, is_small, reasons.TOO_SMALL)
     while True:
         alone, is_covering = without_overlaps(features)
         result = _cleaned(alone, config)
@@ -240,7 +239,7 @@ def uncleaned_footprints(features: Features, config: Scenes) -> Features:
 def _without_excluded(features: Features, shapes: np.ndarray, status: np.ndarray, config: Scenes) -> Features:
     """The features with these polygons and this status. Polygons that are too small or have too many edges are
     excluded: they get the reason as status, and become empty."""
-    status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
+    status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = reasons.TOO_SMALL
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
     status[(status == reasons.OK) & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
     shapes[status != reasons.OK] = shapely.Polygon()
@@ -252,7 +251,7 @@ def _clean_alone(shape: shapely.Polygon, config: Scenes) -> tuple[shapely.Polygo
     reason, if the piece cannot be cleaned either."""
     piece = _cut_apart(shape)
     if piece is None:
-        return shapely.Polygon(), _TOO_SMALL
+        return shapely.Polygon(), reasons.TOO_SMALL
     (cleaned,) = clean_coverage(np.array([piece]), config)
     if cleaned is not None:
         return cleaned, reasons.OK

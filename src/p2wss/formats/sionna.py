@@ -19,9 +19,8 @@ import scipy
 import shapely
 
 from p2wss import __version__
-from p2wss.formats.materials import EDITION, MATERIALS
+from p2wss.formats.materials import EDITION, MATERIALS, Properties, properties
 from p2wss.formats.meshes import AXES, Body, Frame, file_names, material_names
-from p2wss.formats.radio_materials import Properties, properties
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.log_lines import log

@@ -1,30 +1,33 @@
-"""Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in
-docs/methods/scans.md)."""
+"""Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in docs/methods/scans.md), or
+of any meshes without a scene."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import laspy
 import numpy as np
 import pyarrow as pa
 import pyproj
+import trimesh
 
 from p2wss.clouds import scan_files as schema
 from p2wss.config import Scans
 from p2wss.data import polygon_arrays
+from p2wss.data.crs import metric_crs, parsed_crs
 from p2wss.data.seeds import derive_seed, generator
-from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import Bounds, tile_bounds
+from p2wss.data.terrain import Terrain, read_terrain
+from p2wss.data.tiling import Bounds, grown, tile_bounds
 from p2wss.scans.caster import CHUNK_PULSES, cast
 from p2wss.scans.clutter import LocalBuildings, add_clutter
 from p2wss.scans.pulses import Box
 from p2wss.scans.returns import Points
 from p2wss.scans.surface import CLUTTER_KIND, Surface, encode_face, is_tree, las_classes
 from p2wss.scans.survey import PAPER_ALTITUDE_M, Survey, plan
-from p2wss.scans.terrain import local_grid
+from p2wss.scans.terrain import TerrainGrid, local_grid
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
@@ -33,6 +36,8 @@ from p2wss.storage.errors import InputError
 _REFLECTANCE_BETA = (4, 9)
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
 _WRITTEN_AT_ONCE = 1_000_000
+# of any meshes: ground around them; faces with a steeper normal are roofs, or floors; reflectance
+_MARGIN_M, _UPRIGHT_NZ, _REFLECTANCE = 20.0, 0.05, 0.3
 
 
 def build_surface(buildings: pa.Table, terrain: Terrain, origin_m: np.ndarray, settings: Scans) -> Surface:
@@ -268,3 +273,74 @@ def las_dimensions(points: Points, survey: Survey) -> dict[str, np.ndarray]:
         "building_id": points.building,
         "face_id": points.face,
     }
+
+
+def scan_meshes(
+    meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh] | Mapping[str, Any],
+    terrain: str | Path | None,
+    crs: str | pyproj.CRS | None,
+    settings: Scans,
+    seed: int | None = None,
+    threads: int = 1,
+) -> laspy.LasData:
+    """See :func:`p2wss.scan`."""
+    if isinstance(meshes, Mapping):
+        if hasattr(meshes, "in_metres"):
+            meshes = meshes.in_metres()
+        crs = crs or getattr(meshes, "crs", None)
+        meshes = [getattr(each, "mesh", each) for each in meshes.values()]
+    if isinstance(meshes, trimesh.Scene):
+        meshes = meshes.dump()
+    meshes = list(meshes) if isinstance(meshes, list | tuple | np.ndarray) else [meshes]
+    if wrong := [each for each in meshes if not isinstance(each, trimesh.Trimesh)]:
+        raise InputError(f"meshes: a {type(wrong[0]).__name__} is no trimesh.Trimesh")
+    # a building without a mesh has a number, too
+    corner_m = [mesh.bounds for mesh in meshes if len(mesh.faces)]
+    if not corner_m:
+        raise InputError("no mesh to scan")
+    low, high = np.min(corner_m, axis=(0, 1)), np.max(corner_m, axis=(0, 1))
+    bounds = grown((float(low[0]), float(low[1]), float(high[0]), float(high[1])), _MARGIN_M)
+    stated = None if crs is None else parsed_crs(crs, "crs")
+    metric = None if stated is None else metric_crs(stated, bounds, "meshes")[0]
+    if metric is not None and not metric.is_source:
+        raise InputError(
+            f"crs: {metric.source.name} is not in metres there, as meshes are; convert them to another"
+        )
+    origin = np.floor([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    if terrain is None:
+        ground = _level(bounds, float(low[2]))
+    else:
+        heights, heights_crs = read_terrain(terrain, None if stated is None else stated.to_wkt())
+        ground = (heights if metric is None else metric.terrain(heights, heights_crs, terrain)).cut(bounds)
+    if not np.isfinite(ground.height_m).any():
+        raise InputError(f"{terrain}: has no height around the meshes")
+    grid = local_grid(ground.height_m, ground.x_min_m, ground.y_max_m, ground.cell_m, origin)
+    place = Place("the meshes", origin, bounds, bounds)
+    seed = settings.seed if seed is None else seed
+    survey, points, _ = fly(_surface(meshes, grid, origin), place, settings, seed, threads)
+    return schema.as_las(las_dimensions(points, survey), origin, stated)
+
+
+def _level(bounds: tuple[float, float, float, float], z_m: float) -> Terrain:
+    x_min, y_min, x_max, y_max = bounds
+    rows, columns = int(np.ceil(y_max - y_min)) + 2, int(np.ceil(x_max - x_min)) + 2
+    return Terrain(np.full((rows, columns), z_m, np.float32), x_min - 1, y_max + 1, 1.0)
+
+
+def _surface(meshes: Sequence[trimesh.Trimesh], terrain: TerrainGrid, origin: np.ndarray) -> Surface:
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    triangle = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
+    building = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    up = np.concatenate([mesh.face_normals[:, 2] for mesh in meshes])
+    kind = np.where(up > _UPRIGHT_NZ, FaceKind.ROOF, FaceKind.WALL)
+    reachable = up > -_UPRIGHT_NZ  # no pulse reaches the floor
+    face = encode_face(kind, np.full(len(kind), -1))[reachable]
+    return Surface(
+        terrain=terrain,
+        vertex_m=np.concatenate([mesh.vertices for mesh in meshes]) - origin,
+        triangle=triangle[reachable].astype(np.int32),
+        building=building[reachable].astype(np.int32),
+        face=face,
+        reflectance=np.full(len(face), _REFLECTANCE, np.float32),
+        loss=np.zeros(len(face), np.float32),
+    )

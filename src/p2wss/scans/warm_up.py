@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 
 from p2wss.config import Scans
-from p2wss.scans.meshes import scan_meshes
 from p2wss.scans.randomness import uniforms
+from p2wss.scans.scan import scan_meshes
 
 
 def warm_survey() -> None:

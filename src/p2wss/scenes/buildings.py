@@ -139,9 +139,3 @@ def mesh_columns(meshes: skeleton.Meshes, rows: np.ndarray, num_rows: int) -> di
         "triangle_kind": ragged_column(meshes.kind, meshes.triangle_offset, 1),
         "triangle_edge": ragged_column(meshes.edge, meshes.triangle_offset, 1),
     }
-
-
-def failed_fraction(scene_status: np.ndarray, status: np.ndarray) -> float:
-    """Share of the scene's usable buildings that the kernel rejected."""
-    usable = scene_status == "ok"
-    return float(np.mean(status[usable] != "ok")) if usable.any() else 0.0

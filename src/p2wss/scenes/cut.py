@@ -16,7 +16,6 @@ from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds, tiles_of_points
 from p2wss.footprints.cleaning import clean_footprints, split_parts
 from p2wss.scenes.roofs import FootprintEdges, draw_angles
-from p2wss.skeleton import Status
 from p2wss.storage.features import Features
 
 # ranges from which eave heights are drawn where BD TOPO has no height, by its attribute nature, then by its usage
@@ -176,16 +175,6 @@ def cut_scene(
         crs=features.crs,
     )
     return scene.sort_values("building_id", kind="stable").reset_index(drop=True)
-
-
-def failed_fraction(scene: gpd.GeoDataFrame) -> float:
-    """Share of the buildings of the tile (without its margin) that were excluded.
-
-    Footprints that are too small count neither as buildings nor as failures.
-    """
-    status = scene["status"].to_numpy()[scene["in_tile"].to_numpy()]
-    counted = status != Status.TOO_SMALL.reason
-    return float(np.mean(status[counted] != "ok")) if counted.any() else 0.0
 
 
 def party_walls(polygons: np.ndarray) -> list[np.ndarray]:

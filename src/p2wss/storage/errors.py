@@ -1,4 +1,4 @@
-"""The one exception that users see, and the conversion of errors of file-reading libraries into it."""
+"""The one exception that users see, and the conversion of errors of files, and of libraries that read them, into it."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise InputError(f"{path}: not {kind}: {_reason(error)}") from error
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Raise an ``OSError`` of the block, such as that of a full disk, as an :class:`InputError` that names ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
 
 
 def _reason(error: BaseException) -> str:

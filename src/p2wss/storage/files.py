@@ -21,7 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.errors import InputError, reading, writing
 from p2wss.storage.log_lines import log
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
@@ -69,29 +69,25 @@ def atomic(path: str | Path, seal: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     suffix = "".join(path.suffixes)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(path.parent)
         prefix = temporary_prefix(path.name.removesuffix(suffix))
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
-    except OSError as error:
-        raise InputError(f"{path}: not written: {error.strerror or error}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        if seal:
-            integrity.append(temporary)
-        integrity.fill(temporary)
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
-        log.debug("%s: written, %d bytes", path, Path(path).stat().st_size)
-    except OSError as error:
-        raise InputError(f"{path}: not written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            if seal:
+                integrity.append(temporary)
+            integrity.fill(temporary)
+            with open(temporary, "rb") as file:
+                os.fsync(file.fileno())
+            temporary.chmod(0o644)
+            temporary.replace(path)
+            log.debug("%s: written, %d bytes", path, Path(path).stat().st_size)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def write_table(

@@ -7,8 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from p2wss.storage.log_lines import log
 
@@ -17,7 +16,7 @@ INTERVAL_S = 2.0
 LATER = 0.1
 
 
-class Progress:
+class Progress(ExitStack):
     """How many of ``total`` items are done, for use in a ``with`` block.
 
     On a terminal a tqdm bar shows it. Elsewhere ``report`` gets lines: at most one in two seconds, later fewer and
@@ -35,22 +34,22 @@ class Progress:
         report: Callable[[str], None] = log.info,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        super().__init__()
         self.title, self.total, self.unit, self.initial = title, total, unit, initial
         self._report, self._clock = report, clock
         self._began_at = self._reported_at = clock()
         # the number of items of the first report, and its time: what was before, such as compilation, says nothing of
         # the others
         self._first: tuple[int, float] | None = None
-        self._contexts = ExitStack()
         self._bar: Any = None
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> Self:
         if sys.stderr.isatty() and log.getEffectiveLevel() == logging.INFO:
             from tqdm import tqdm
             from tqdm.contrib.logging import logging_redirect_tqdm
 
-            self._contexts.enter_context(logging_redirect_tqdm())
-            self._bar = self._contexts.enter_context(
+            self.enter_context(logging_redirect_tqdm())
+            self._bar = self.enter_context(
                 tqdm(
                     desc=self.title,
                     total=self.total,
@@ -60,11 +59,6 @@ class Progress:
                 )
             )
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._contexts.close()
 
     def update(self, num_done: int, note: str = "") -> None:
         """Report that ``num_done`` items are done, those of ``initial`` among them; ``note`` is shown too."""

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import writing
 
 # whether a process of another host still runs is unknown: its files are removed when they are this old
 _ABANDONED_S = 24 * 3600.0
@@ -111,7 +111,7 @@ class Scratch(Closeable):
     def __init__(self, folder: Path, content: str) -> None:
         self.num_bytes = 0
         self._name = f"{folder}: temporary file of {content}"
-        with self._told():
+        with writing(self._name):
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
 
     def close(self) -> None:
@@ -120,7 +120,7 @@ class Scratch(Closeable):
 
     def append(self, content: bytes | memoryview) -> None:
         """Add bytes at the end. Raises :class:`InputError` if the disk is full."""
-        with self._told():
+        with writing(self._name):
             self._file.seek(self.num_bytes)
             self._file.write(content)
             self._file.flush()
@@ -129,10 +129,3 @@ class Scratch(Closeable):
     def read(self, place: int, size: int) -> bytes:
         """``size`` bytes from ``place`` on. Several processes may read at the same time."""
         return os.pread(self._file.fileno(), size, place)
-
-    @contextmanager
-    def _told(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise InputError(f"{self._name}: {error.strerror or error}") from error

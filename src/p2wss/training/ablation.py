@@ -10,9 +10,8 @@ import pandas as pd
 
 from p2wss.config import DeviceName
 from p2wss.nets.predictor import load_predictor
-from p2wss.training.dataset import TrainingLimits, training_limits
+from p2wss.training.dataset import TrainingLimits, load_dataset, training_limits
 from p2wss.training.model import prediction_errors
-from p2wss.training.shards import load_dataset
 
 
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> pd.DataFrame:

@@ -17,8 +17,7 @@ from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.log_lines import log
 from p2wss.training import augment, loop
-from p2wss.training.dataset import BatchSampler, BuildingDataset, TrainingLimits
-from p2wss.training.shards import describe, load_dataset
+from p2wss.training.dataset import BatchSampler, BuildingDataset, TrainingLimits, describe, load_dataset
 
 # with a smaller share of its codes in use a tokenizer carries no information
 MIN_CODE_USAGE = 0.05

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from p2wss.config.model import Masking
+from p2wss.config.training import Masking
 from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.tokenizer import (
     KIND_ANGLE,

@@ -27,9 +27,8 @@ from p2wss.nets.weights import load_dvae, load_model
 from p2wss.storage import files
 from p2wss.storage.log_lines import log
 from p2wss.training import augment, loop
-from p2wss.training.dataset import BatchSampler, BuildingDataset, training_limits
+from p2wss.training.dataset import BatchSampler, BuildingDataset, describe, load_dataset, training_limits
 from p2wss.training.masking import mask_parameters, mask_patches
-from p2wss.training.shards import describe, load_dataset
 
 
 def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, code: str) -> Point2Wss:

@@ -18,7 +18,7 @@ import trimesh
 from places import ROOT
 from toy_survey import BOX, run, write_cloud, write_weights
 
-from p2wss.cli import argument_checks
+from p2wss.cli.common import check_out
 from p2wss.clouds import reading as clouds
 from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config
 from p2wss.data.terrain import Terrain, write_terrain
@@ -186,10 +186,10 @@ def test_what_a_run_does_not_need_is_not_loaded(place: Path) -> None:
 def test_an_output_folder_that_is_named_as_a_file(tmp_path: Path) -> None:
     for name in ("town.city.jsonl", "town.OBJ"):
         with pytest.raises(InputError, match=f"{name}: results are several files; name a folder"):
-            argument_checks.check_out(tmp_path / name, Config())
+            check_out(tmp_path / name, Config())
     # one that is there may have any name
     (tmp_path / "town.obj").mkdir()
-    argument_checks.check_out(tmp_path / "town.obj", Config())
+    check_out(tmp_path / "town.obj", Config())
 
 
 def test_an_output_folder_that_is_a_file_or_cannot_be_written(

@@ -19,8 +19,7 @@ from p2wss.clouds.crops import crop_cloud, ground_height, roofs_around
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
-from p2wss.crops import real, simulated
-from p2wss.crops.splits import assign_splits
+from p2wss.crops.rows import assign_splits, crop_real, crop_simulated
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import tile_name
@@ -60,7 +59,7 @@ def points_of(columns, row):
 
 def test_rows_hold_the_points_around_each_footprint(scanned):
     buildings, (cloud, owner, face) = scanned
-    columns, num_excluded = simulated.crop_simulated(buildings, (cloud, owner, face), Crops())
+    columns, num_excluded = crop_simulated(buildings, (cloud, owner, face), Crops())
     assert sum(num_excluded.values()) == 0
     ids = columns["building_id"].to_pylist()
     assert ids == [row["building_id"] for row in buildings.to_pylist() if row["in_tile"]]
@@ -89,7 +88,7 @@ def test_rows_hold_the_points_around_each_footprint(scanned):
 
 def test_labels_are_those_of_the_building(scanned):
     buildings, scan = scanned
-    columns, _ = simulated.crop_simulated(buildings, scan, Crops(min_points=1300))
+    columns, _ = crop_simulated(buildings, scan, Crops(min_points=1300))
     source = {row["building_id"]: row for row in buildings.to_pylist()}
     names = columns["building_id"].to_pylist()
     assert 0 < len(names) < sum(row["in_tile"] for row in source.values())
@@ -111,9 +110,7 @@ def test_excluded_buildings_are_counted():
         np.array([652_500.0]), np.array([6_861_905.0]), np.array([80.0]), np.full(1, 2, np.uint8), None
     )
     none = np.full(1, -1, np.int32)
-    columns, num_excluded = simulated.crop_simulated(
-        table([failed, unseen, huge]), (cloud, none, none), Crops()
-    )
+    columns, num_excluded = crop_simulated(table([failed, unseen, huge]), (cloud, none, none), Crops())
     assert num_excluded == {"not-closed": 1, "too-few-points": 1, "too-large": 1}
     assert len(columns["num_points"]) == 0
 
@@ -407,7 +404,7 @@ def test_clouds_of_different_crs(tmp_path):
 
 def lidar_columns(footprint_file, clouds, tile, size_m):
     frame = cleaning.clean_footprints(cleaning.read_footprints(footprint_file), ScenesConfig())
-    return real.crop_real(frame, clouds, tile, size_m, Crops())
+    return crop_real(frame, clouds, tile, size_m, Crops())
 
 
 @needs_data

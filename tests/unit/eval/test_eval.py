@@ -28,7 +28,7 @@ from p2wss.config import Config, Eval, load, roofer_command
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.manifest import Manifest, Shard, read_manifest
 from p2wss.eval import cases, figures, measure, methods, report, tables
-from p2wss.eval.reconstructions import (
+from p2wss.eval.cases import (
     RECONSTRUCTIONS,
     read_reconstructions,
     reconstruction_columns,

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from p2wss import cli
-from p2wss.eval.reconstructions import RECONSTRUCTIONS
+from p2wss.eval.cases import RECONSTRUCTIONS
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS
 

@@ -14,7 +14,7 @@ import shapely
 
 from p2wss import cli, skeleton
 from p2wss.data.building import Reconstruction
-from p2wss.eval.reconstructions import read_reconstructions
+from p2wss.eval.cases import read_reconstructions
 from p2wss.mesh.surface import sample_surface
 from p2wss.reconstruction.outputs import exports
 from p2wss.skeleton.types import FaceKind, Polygons

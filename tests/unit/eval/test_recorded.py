@@ -14,7 +14,7 @@ from places import SHARED
 from scipy.spatial import cKDTree
 
 from p2wss.config import Config, Eval, Reconstruct, load, roofer_command
-from p2wss.crops.real import crop_real
+from p2wss.crops.rows import crop_real
 from p2wss.data.building import Reconstruction
 from p2wss.eval import cases, measure, methods, tables
 from p2wss.footprints import cleaning

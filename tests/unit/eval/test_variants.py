@@ -17,8 +17,8 @@ from p2wss import skeleton
 from p2wss.config import Config, Eval, load
 from p2wss.data.building import Building, Reconstruction
 from p2wss.eval import cases, measure, methods, report, tables
+from p2wss.eval.cases import Key
 from p2wss.eval.measure import roof_kind
-from p2wss.eval.reconstructions import Key
 from p2wss.reconstruction.flat import constant
 from p2wss.reconstruction.product import FIT, NETWORK
 from p2wss.storage.schemas.crops import REAL, SIMULATED

@@ -11,8 +11,7 @@ from places import ROOT
 from scipy.spatial import cKDTree
 
 from p2wss.config import Prepare
-from p2wss.fetching.pdal import Window, for_version, pipeline, read_stages
-from p2wss.fetching.prepare import prepare
+from p2wss.fetching.prepare import Window, for_version, pipeline, prepare, read_stages
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError
 

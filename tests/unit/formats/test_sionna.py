@@ -16,9 +16,8 @@ from yard_house import yard_house
 from p2wss import skeleton
 from p2wss.data.terrain import Terrain
 from p2wss.formats import sionna
-from p2wss.formats.materials import MATERIALS
+from p2wss.formats.materials import MATERIALS, TABLE, properties
 from p2wss.formats.meshes import Body, BuildingRef, Frame, frame_around
-from p2wss.formats.radio_materials import TABLE, properties
 from p2wss.formats.sionna import scene_files
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import terrain_mesh

@@ -148,7 +148,7 @@ def test_the_file_has_no_name_and_a_full_disk_is_one_line(
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(temporary.tempfile, "TemporaryFile", lambda **options: Full())
-    with pytest.raises(InputError, match="35 bytes each: No space left on device"):
+    with pytest.raises(InputError, match="35 bytes each: not written: No space left on device"):
         index_of(cloud_of(100, 100), boxes, tmp_path)
 
 

@@ -10,8 +10,9 @@ import shapely
 from places import SHARED
 
 from p2wss.cli import main
-from p2wss.config import Crops, Scenes
-from p2wss.crops.splits import assign_splits
+from p2wss.cli.common import check_failures
+from p2wss.config import Crops, Scenes, load
+from p2wss.crops.rows import assign_splits
 from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
@@ -19,10 +20,10 @@ from p2wss.scenes.cut import (
     NEIGHBOUR_DISTANCE_M,
     count_buildings,
     cut_scene,
-    failed_fraction,
     party_walls,
 )
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
@@ -142,13 +143,11 @@ def test_excluded_buildings_keep_their_row() -> None:
     bad = scene[scene["status"] != "ok"]
     assert bad.geometry.is_empty.all() and bad["eave_height_m"].isna().all()
     assert (bad["angle_deg"].map(len) == 0).all()
-    assert failed_fraction(scene) == pytest.approx(2 / 5)
 
 
 def test_an_empty_window_gives_an_empty_scene() -> None:
     scene = cut_scene(Features.of(town().iloc[:0]), flat(), TILES[0], TILE_M, CONFIG)
     assert len(scene) == 0 and list(scene.columns) == [*SCENE.names, "geometry"]
-    assert failed_fraction(scene) == 0
 
 
 def test_party_walls_agree_with_sampled_distances() -> None:
@@ -194,6 +193,8 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     scene, facts = read_scene(tmp_path / "out.parquet")
     assert scene["in_tile"].sum() == facts["num_by_status"]["ok"] == int(lines[1].split("\t")[2])
     assert facts["tile_size_m"] == 1000 and facts["crs"] == "EPSG:2154"
+    # footprints that are too small are no failures
+    assert cut(tmp_path, "0652_6862", footprints, dtm, '{"scenes": {"min_area_m2": 1e6}}') == 0
 
 
 @pytest.mark.parametrize(
@@ -219,6 +220,17 @@ def test_bad_input_gives_one_line_and_keeps_existing_files(
     assert error.count("p2wss: error:") == 1 and message in error
     assert (tmp_path / "out.parquet").read_text() == "before"
     assert not (tmp_path / "out.tif").exists()
+
+
+def test_too_many_failures_stop_the_job() -> None:
+    status = np.array(["ok", "ok", "too-high", "ok", "no-terrain"], object)
+    strict, tolerant = ({"scenes": {"max_failed_fraction": most}} for most in (0.39, 0.4))
+    check_failures(Path("a.gpkg"), "buildings", status, "scenes", load(tolerant))
+    check_failures(Path("a.gpkg"), "buildings", status[:0], "scenes", load(strict))
+    with pytest.raises(
+        InputError, match=r"^a\.gpkg: 40\.0% of buildings, more than scenes\.max_failed_fraction 39"
+    ):
+        check_failures(Path("a.gpkg"), "buildings", status, "scenes", load(strict))
 
 
 @pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")

@@ -19,8 +19,7 @@ from p2wss.nets.predictor import load_predictor
 from p2wss.nets.weights import save_model
 from p2wss.storage.errors import InputError
 from p2wss.training import ablation
-from p2wss.training.dataset import TrainingLimits, training_limits
-from p2wss.training.shards import load_dataset
+from p2wss.training.dataset import TrainingLimits, load_dataset, training_limits
 
 
 def test_a_variant_changes_what_it_names_and_nothing_else() -> None:

@@ -16,8 +16,7 @@ from p2wss.nets.batch import thin
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
-from p2wss.training.dataset import BatchSampler, TrainingLimits
-from p2wss.training.shards import describe, load_dataset
+from p2wss.training.dataset import BatchSampler, TrainingLimits, describe, load_dataset
 
 LIMITS = TrainingLimits(min_points=64, max_vertices=8, max_length_m=70)
 
@@ -173,5 +172,5 @@ def test_the_points_leave_no_file_and_a_full_disk_is_one_clear_line(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("tempfile.TemporaryFile", full)
-    with pytest.raises(InputError, match="temporary file: No space left on device"):
+    with pytest.raises(InputError, match="temporary file: not written: No space left on device"):
         load_dataset(manifest, ["train"], LIMITS, labelled=True, folder=tmp_path)

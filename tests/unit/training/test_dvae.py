@@ -18,8 +18,7 @@ from p2wss.nets.patches import Patches
 from p2wss.nets.weights import load_dvae
 from p2wss.storage.errors import InputError
 from p2wss.training import dvae
-from p2wss.training.dataset import TrainingLimits
-from p2wss.training.shards import load_dataset
+from p2wss.training.dataset import TrainingLimits, load_dataset
 
 
 @pytest.fixture(scope="module")

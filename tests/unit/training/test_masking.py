@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from nets.test_tokenizer import buildings, numbers
 
-from p2wss.config.model import Masking
+from p2wss.config.training import Masking
 from p2wss.nets.patches import Patches
 from p2wss.nets.tokenizer import (
     KIND_ANGLE,

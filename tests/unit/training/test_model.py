@@ -25,8 +25,7 @@ from p2wss.nets.weights import save_dvae
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError
 from p2wss.training import model
-from p2wss.training.dataset import BuildingDataset, TrainingLimits
-from p2wss.training.shards import load_dataset
+from p2wss.training.dataset import BuildingDataset, TrainingLimits, load_dataset
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from p2wss.nets import compute
 from p2wss.nets.weights import last_validation
 from p2wss.storage.errors import InputError
 from p2wss.training import loop
-from p2wss.training.state import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
+from p2wss.training.loop import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
 
 IDENTITY = {"config": {"a": 1}}
 

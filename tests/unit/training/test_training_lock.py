@@ -15,12 +15,12 @@ from places import ROOT
 
 from p2wss.storage.errors import InputError
 from p2wss.storage.temporary import Scratch
-from p2wss.training.lock import training_lock
+from p2wss.training.loop import training_lock
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from p2wss.training.lock import training_lock
+from p2wss.training.loop import training_lock
 with training_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

@@ -17,11 +17,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from p2wss.config import load
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
-from p2wss.training.dataset import BuildingDataset, TrainingLimits
+from p2wss.training.dataset import BuildingDataset, TrainingLimits, load_dataset
 from p2wss.training.dvae import DvaeTask
 from p2wss.training.loop import Task
 from p2wss.training.model import ModelTask
-from p2wss.training.shards import load_dataset
 
 
 class Asked(TorchDispatchMode):

@@ -43,8 +43,7 @@ TO_3DBAG = {
     "slope_deg": "b3_hellingshoek",
     "azimuth_deg": "b3_azimut",
 }
-# the largest integer of 64 bits
-_MAX_WHOLE = 2**63 - 1
+_MAX_WHOLE = np.iinfo(np.int64).max
 _LEVEL_ROOFS_3DBAG = {measures.FLAT: "horizontal", measures.FLATS: "multiple horizontal"}
 
 
@@ -107,28 +106,16 @@ def _attributes(result: Result) -> dict[str, Any]:
 
 
 def _registration_attributes(result: Result) -> dict[str, Any]:
-    registration, flags = result.registration, " ".join(result.flags) or None
-    names = (
-        "shift_x_m",
-        "shift_y_m",
-        "shift_sd_m",
-        "shift_source",
-        "footprint_flags",
-        "ground_inside_m2",
-        "roof_outside_m2",
-    )
-    if registration is None:
-        return dict.fromkeys(names) | {"footprint_flags": flags}
-    values = (
-        _rounded(registration.shift_m[0]),
-        _rounded(registration.shift_m[1]),
-        _rounded(registration.shift_sd_m),
-        registration.source,
-        flags,
-        _rounded(registration.ground_inside_m2),
-        _rounded(registration.roof_outside_m2),
-    )
-    return dict(zip(names, values, strict=True))
+    registration = result.registration
+    return {
+        "shift_x_m": registration and _rounded(registration.shift_m[0]),
+        "shift_y_m": registration and _rounded(registration.shift_m[1]),
+        "shift_sd_m": registration and _rounded(registration.shift_sd_m),
+        "shift_source": registration and registration.source,
+        "footprint_flags": " ".join(result.flags) or None,
+        "ground_inside_m2": registration and _rounded(registration.ground_inside_m2),
+        "roof_outside_m2": registration and _rounded(registration.roof_outside_m2),
+    }
 
 
 _MESH_ATTRIBUTES = (

@@ -72,8 +72,9 @@ class Plant:
     @property
     def attributes(self) -> dict[str, float]:
         """The attributes for files: height_m, base_m, width_m and num_points, rounded."""
-        names = ("height_m", "base_m", "width_m", "num_points")
-        return {name: round(getattr(self, name), 2) for name in names}
+        return {
+            name: round(getattr(self, name), 2) for name in ("height_m", "base_m", "width_m", "num_points")
+        }
 
 
 def plants(points: CloudIndex, window: Bounds, footprints: np.ndarray) -> list[Plant]:

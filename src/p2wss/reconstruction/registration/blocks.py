@@ -11,10 +11,8 @@ from p2wss.data import polygon_arrays
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import Polygons
 
-# footprints closer than this touch
+# footprints closer than this touch, unless they overlap deeper than this: then one of them lies wrong
 WALL_GAP_M = 0.01
-# footprints that overlap deeper than this do not touch as neighbours: one of them lies wrong
-_MAX_OVERLAP_M = 0.01
 # the outline of a block has at least this share of the area of its footprints
 _KEPT_SHARE = 0.97
 # corners of outlines that change less than this are dropped
@@ -75,7 +73,7 @@ def connected(shapes: np.ndarray) -> np.ndarray:
     contact = shapely.intersection(wide[first], wide[second])
     length = shapely.length(contact) / 2
     width = shapely.area(contact) / np.maximum(length, 1e-9)
-    touches = width <= WALL_GAP_M + _MAX_OVERLAP_M
+    touches = width <= 2 * WALL_GAP_M
     return groups(len(shapes), np.column_stack([first[touches], second[touches]]))
 
 

@@ -28,6 +28,7 @@ from p2wss.reconstruction.registration.shifts import (
     MAX_SHIFT_M,
     NO_ESTIMATE,
     SEARCH,
+    STEP,
     Estimate,
     edge_steps,
     point_weights,
@@ -38,22 +39,12 @@ from p2wss.reconstruction.running.failures import note, surviving
 from p2wss.skeleton.types import distinct, numbered
 from p2wss.storage.features import Features
 
-# this far inside its outlines, a block has no walls, and no trees even if it is displaced by as much
-_INSIDE_M = 1.0
-# a roof may reach this far below and above its points in a cell of 1 m
-_TOLERANCE_M = 0.3
-# the roofs of a block were missed if it has at least this number of points like roofs, and this share of all points
-# inside that are roofs or like roofs. In eight places whose classes are good, blocks have at most 0.6 %, and 4.5 % if
-# their footprints are moved by 1.5 m under trees.
-_MIN_POINTS, _MIN_SHARE = 5, 0.1
 # footprints this near compete for roofs outside of both: twice the reach of the flags, plus twice the reach of shifts
 _BESIDE_M = 20.0
 # blocks this near to a block show its shift
 _AROUND_M = 50.0
 # points this far from a block matter to it: the largest shift, the strip beyond an edge, and a cell of the search
 REACH_M = MAX_SHIFT_M + DATA_M + SEARCH.cell_m
-# rounds in which edges are moved by the shift found before, as further steps may then be in reach
-_NUM_ROUNDS = 2
 EDGES, AROUND, NOTHING = "edges", "around", "none"
 # int8: whether a footprint may be moved, and by which classes of points: none, p2wss's own for all points, p2wss's own
 # for all but ground, or the producer's
@@ -74,8 +65,8 @@ def like_roofs(
     column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
     cells, cell = numbered((row << 31) + column)
     low_m, high_m = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
-    np.minimum.at(low_m, cell[is_roof], z_m[is_roof] - _TOLERANCE_M)
-    np.maximum.at(high_m, cell[is_roof], z_m[is_roof] + _TOLERANCE_M)
+    np.minimum.at(low_m, cell[is_roof], z_m[is_roof] - EVIDENCE.tolerance_m)
+    np.maximum.at(high_m, cell[is_roof], z_m[is_roof] + EVIDENCE.tolerance_m)
     return np.asarray(is_other & (z_m >= low_m[cell]) & (z_m <= high_m[cell]))
 
 
@@ -83,14 +74,16 @@ def with_missed_roofs(
     blocks: Blocks, x_m: np.ndarray, y_m: np.ndarray, is_roof: np.ndarray, is_like: np.ndarray
 ) -> np.ndarray:
     """bool (blocks,): whether a block has many points like roofs (:func:`like_roofs`) well inside its outlines."""
-    inner = shapely.buffer(polygon_arrays.to_geometries(blocks.outline), -_INSIDE_M)
+    inner = shapely.buffer(polygon_arrays.to_geometries(blocks.outline), -EVIDENCE.inside_m)
     parts, of_part = shapely.get_parts(inner, return_index=True)
     point, _, offset = crop_points(x_m, y_m, polygon_arrays.to_polygons(parts), 0.0)
     block = blocks.of_outline[np.repeat(of_part, np.diff(offset))]
     num_like, num_roof = (
         np.bincount(block[mask[point]], minlength=len(blocks)) for mask in (is_like, is_roof)
     )
-    return np.asarray(num_like >= np.fmax(_MIN_POINTS, _MIN_SHARE * (num_like + num_roof)))
+    return np.asarray(
+        num_like >= np.fmax(EVIDENCE.min_like_points, EVIDENCE.min_like_share * (num_like + num_roof))
+    )
 
 
 @dataclass(frozen=True)
@@ -101,12 +94,22 @@ class Evidence:
     max_sd_m: evidence is clear if the standard deviation is at most this. min_shift_m, min_sigmas: a shift is used if
     it has at least this length, and at least this many standard deviations; one misleading edge shifts a block by less
     than one. max_sigmas_apart: the blocks around count if their shift differs from the block's by at most this many.
+
+    inside_m: this far inside its outlines, a block has no walls, and no trees even if it is displaced by as much.
+    tolerance_m: a roof may reach this far below and above its points in a cell of 1 m. min_like_points, min_like_share:
+    the roofs of a block were missed if it has at least this number of points like roofs, and this share of all points
+    inside that are roofs or like roofs. In eight places whose classes are good, blocks have at most 0.6 %, and 4.5 % if
+    their footprints are moved by 1.5 m under trees.
     """
 
     max_sd_m: float = 0.5
     min_shift_m: float = 0.3
     min_sigmas: float = 1.25
     max_sigmas_apart: float = 2.0
+    inside_m: float = 1.0
+    tolerance_m: float = 0.3
+    min_like_points: int = 5
+    min_like_share: float = 0.1
 
 
 EVIDENCE = Evidence()
@@ -343,7 +346,7 @@ class _Near:
         shift_m = np.array(surviving(lambda some: map(search, some), numbers, stays)).reshape(-1, 2)
         best = [NO_ESTIMATE] * len(blocks)
         is_missed = self.is_missed[blocks.of_edge]
-        for _ in range(_NUM_ROUNDS):
+        for _ in range(STEP.num_rounds):
             edge = blocks.edge + np.tile(shift_m[blocks.of_edge], 2)
             step_m, step_sd_m = np.full((2, len(edge)), np.nan)
             for weight, some in zip(self.weights, (~is_missed, is_missed), strict=True):

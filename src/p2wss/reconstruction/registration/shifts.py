@@ -21,11 +21,8 @@ from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
 MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
-# the data do not end at a step if the points beyond it, within this distance of the edge, are more than this share of
-# the points in the strip
-DATA_M, _MIN_BEYOND_SHARE = 4.0, 0.2
-# at most this many edges of a block are left out one by one
-_MOST_LEFT_OUT = 64
+# distance from the edge within which points beyond a step show that the data do not end there
+DATA_M = 4.0
 # weights are halves, so sums of them that differ by less are equal
 _ROUNDING = 1e-9
 
@@ -57,6 +54,9 @@ class StepRules:
     the smaller one of the sums of positive and negative weights, as a tree may hide where the roof ends. sd_m: standard
     deviation of a step, from the accuracy of footprints and points. as_good_points: places count as the step if the
     weights inside are less than the largest by at most this; the extent of these places adds to the deviation.
+    min_beyond_share: the data do not end at a step if the points beyond it are more than this share of the points in
+    the strip. num_rounds: rounds in which edges are moved by the shift found before, as further steps may then be in
+    reach.
     """
 
     end_m: float = 0.3
@@ -65,6 +65,8 @@ class StepRules:
     min_gain_share: float = 0.5
     sd_m: float = 0.1
     as_good_points: float = 1.0
+    min_beyond_share: float = 0.2
+    num_rounds: int = 2
 
 
 class Expected(NamedTuple):
@@ -74,7 +76,8 @@ class Expected(NamedTuple):
     block_sd_m: the error that all steps of a block share, since maps are inaccurate and roofs overhang one side more
     than the other. half_weight_m: a step with this residual has half its weight (Cauchy); the weights settle in
     ``num_rounds``. rest_of_prior: information (1/m2) on the shift that is left when its prior is taken out of the
-    covariance, as the matrix would be singular if no edge determined a direction.
+    covariance, as the matrix would be singular if no edge determined a direction. max_left_out: at most this many edges
+    of a block are left out one by one.
     """
 
     shift_sd_m: float = 1.0
@@ -84,6 +87,7 @@ class Expected(NamedTuple):
     half_weight_m: float = 0.25
     num_rounds: int = 8
     rest_of_prior: float = 1e-6
+    max_left_out: int = 64
 
 
 SEARCH, STEP, EXPECTED = Search(), StepRules(), Expected()
@@ -208,7 +212,7 @@ def edge_steps(
     # where the data end, nothing shows that the building ends
     num_in_strip = np.bincount(of_edge[strip], minlength=len(edge))
     num_beyond = np.bincount(of_edge[distance > offset_m[of_edge]], minlength=len(edge))
-    return np.where(num_beyond > num_in_strip * _MIN_BEYOND_SHARE, offset_m, np.nan), sd_m
+    return np.where(num_beyond > num_in_strip * STEP.min_beyond_share, offset_m, np.nan), sd_m
 
 
 def _steps(
@@ -263,7 +267,7 @@ def solve_shift(edge: np.ndarray, step_m: np.ndarray, step_sd_m: np.ndarray, sta
     observed = (design, step_m[rows], step_sd_m[rows])
     (value,), (covariance,) = _solved(*observed, np.array([-1]), EXPECTED)
     # the edges that the others can replace least
-    least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[:_MOST_LEFT_OUT]
+    least = np.argsort(-(design @ covariance * design).sum(axis=1), kind="stable")[: EXPECTED.max_left_out]
     without_edge = _solved(*observed, least, EXPECTED)
     # the expected overhang must not decide either, where only one side of the block is seen
     without_overhang = _solved(*observed, np.array([-1]), _ANY_OVERHANG)

@@ -13,7 +13,6 @@ from p2wss.config import Clutter
 from p2wss.scans.clutter import beside_walls, on_roofs
 from p2wss.scans.clutter.buildings import ClutterTriangles, LocalBuildings
 from p2wss.scans.clutter.eaves import set_walls_back
-from p2wss.scans.clutter.roofs import roofs_of
 from p2wss.scans.surface import (
     CLUTTER_REFLECTANCE,
     TREE_REFLECTANCE,
@@ -33,7 +32,7 @@ def add_clutter(
     surface, num_set_back = set_walls_back(
         surface, buildings, settings.eave_overhang_share, settings.eave_overhang_m
     )
-    roofs = roofs_of(surface, len(buildings.key))
+    roofs = on_roofs.roofs_of(surface, len(buildings.key))
     triangles = {
         ClutterKind.DORMER: on_roofs.dormers(roofs, buildings, settings.dormer_share),
         ClutterKind.CHIMNEY: on_roofs.chimneys(roofs, buildings, settings.chimney_share),
