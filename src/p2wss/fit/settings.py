@@ -171,9 +171,11 @@ class Drawing(NamedTuple):
     same_deg: float = 4.0
     # a step leaves less than this share of the points of the border on the wrong side
     wrong_share: float = 0.35
+    # it turns from the directions of the footprint if this leaves fewer there, by this share
+    turned_share: float = 0.3
     # the least number of links between points on both sides of a step that no other line divides, and the least length
     # in metres, of a part of the step that gets a line of its own
-    part_links: int = 8
+    part_links: int = 6
     part_m: float = 1.0
     # metres: lines of a map end up to this far from what they should meet; a line is used where an edge is this near
     mapped_gap_m: float = 1.0

@@ -14,7 +14,7 @@ from p2wss.fit.directions import edge_ends
 from p2wss.fit.planes.detection import height_over
 from p2wss.fit.settings import Drawing
 from p2wss.skeleton.angles import bearings
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.nearest import nearest
 from p2wss.skeleton.ordering import order_of
 from p2wss.skeleton.rings import sides
@@ -101,9 +101,11 @@ def lines_of(
         for (edge, goes_on), ends_m in zip(edges, edge_ends(rings), strict=True)
         if goes_on
     ]
-    steps += _parts_of_steps(plane, links, point_m, own, [*meets, *steps, *going_on], along, settings)
+    walls = [edge for edge, _ in edges]
+    found = [*meets, *_snapped(steps, walls, settings), *going_on]
+    steps += _parts_of_steps(plane, links, point_m, own, found, along, settings)
     meets, steps = (_into_shadow(each, point_m, settings) for each in (meets, steps))
-    snapped = _snapped(steps, [edge for edge, _ in edges], settings)
+    snapped = _snapped(steps, walls, settings)
     steps = snapped + going_on
     return meets + _through_corners(steps, np.concatenate(list(rings)), settings.corner_m)
 
@@ -251,10 +253,10 @@ def _between(
     high_m = (np.maximum.reduceat(place_m, first) + settings.reach_m).tolist()
     shown = meet[of_pair[is_near][first]]
     ends = zip(shown[:, :2], (-shown[:, 2]).tolist(), low_m, high_m, strict=True)
-    normal = _normals(along)
+    normal, shares = _normals(along), (settings.wrong_share, settings.turned_share)
     num_off = np.bincount(side[is_off], minlength=2 * len(pair)).reshape(-1, 2)
-    direction, line = _steps(border_m[is_off], num_off, normal, settings.wrong_share, settings.reach_m)
-    steps = [Line(normal[i], *each) for i, each in zip(direction.tolist(), line.tolist(), strict=True)]
+    across, line = _steps(border_m[is_off], num_off, normal, *shares, settings.reach_m)
+    steps = [Line(each, *ends) for each, ends in zip(across, line.tolist(), strict=True)]
     return [Line(*each) for each in ends], steps
 
 
@@ -319,18 +321,28 @@ def _links(label: np.ndarray, point_m: np.ndarray, near_m: float) -> _Links:
 
 @entry
 def _steps(
-    border_m: np.ndarray, num_off: np.ndarray, normal: np.ndarray, wrong_share: float, reach_m: float
+    border_m: np.ndarray,
+    num_off: np.ndarray,
+    normal: np.ndarray,
+    wrong_share: float,
+    turned_share: float,
+    reach_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(normal (l,), offset, low and high end (l, 3)) of the lines that divide the places of two planes, as indices of
-    ``normal`` (d, 2). The places on the wrong side are fewer than ``wrong_share`` of the places of the plane that has
-    fewer. border_m: (m, 2), the places, pair by pair. num_off: (p, 2), how many places are of the first and of the
-    second plane of each pair."""
-    most, first, num = len(num_off) * len(normal), 0, 0
-    direction, line = np.empty(most, np.int64), np.empty((most, 3))
+    """(normals (l, 2); offsets, low and high ends (l, 3)) of the lines that divide the places of two planes.
+
+    The lines are across ``normal`` (d, 2). A step that turns from these has a line across its own normal, too. The
+    places on the wrong side are fewer than ``wrong_share`` of the places of the plane that has fewer. A line across its
+    own normal leaves fewer there than the others, by ``turned_share``. border_m: (m, 2), the places, pair by pair.
+    num_off: (p, 2), how many places are of the first and of the second plane of each pair."""
+    most, first, num = len(num_off) * (len(normal) + 1), 0, 0
+    result, line = np.empty((most, 2)), np.empty((most, 3))
     for num_one, num_other in num_off:
         rows, first = border_m[first : first + num_one + num_other], first + num_one + num_other
-        for d in range(len(normal) if min(num_one, num_other) >= _MIN_BORDER else 0):
-            (across_x, across_y), place_m = normal[d], np.empty(len(rows))
+        num_wrong_along = min(num_one, num_other)
+        for d in range(len(normal) + 1 if min(num_one, num_other) >= _MIN_BORDER else 0):
+            is_own = d == len(normal)
+            across_x, across_y = _own_normal(rows, num_one) if is_own else (normal[d, 0], normal[d, 1])
+            place_m = np.empty(len(rows))
             low_m, high_m = np.inf, -np.inf
             for k in range(len(rows)):
                 place_m[k] = rows[k, 0] * across_x + rows[k, 1] * across_y
@@ -339,15 +351,35 @@ def _steps(
             order = order_of(place_m)
             # wrong are places of the second plane before the line, and of the first behind it
             num_wrong, num_fewest, best = num_one, wrong_share * min(num_one, num_other), -1
+            if is_own:
+                num_fewest = min(num_fewest, num_wrong_along - turned_share * min(num_one, num_other))
             for k in range(len(rows) - 1):
                 num_wrong += 1 if order[k] >= num_one else -1
                 if num_wrong < num_fewest:
                     num_fewest, best = num_wrong, k
             if best >= 0:
+                num_wrong_along = min(num_wrong_along, num_fewest)
                 line[num, 0] = (place_m[order[best]] + place_m[order[best + 1]]) / 2
                 line[num, 1], line[num, 2] = low_m - reach_m, high_m + reach_m
-                direction[num], num = d, num + 1
-    return direction[:num].copy(), line[:num].copy()
+                result[num, 0], result[num, 1], num = across_x, across_y, num + 1
+    return result[:num].copy(), line[:num].copy()
+
+
+@allocating
+def _own_normal(place_m: np.ndarray, num_one: int) -> tuple[float, float]:
+    """The normal of the line between the first ``num_one`` places (n, 2) and the others, from the first to these: by
+    linear discriminant analysis (Fisher 1936), with the spread of the places around the means of the two groups."""
+    one_m = place_m[:num_one].sum(axis=0) / num_one
+    other_m = place_m[num_one:].sum(axis=0) / (len(place_m) - num_one)
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for k in range(len(place_m)):
+        mean_m = one_m if k < num_one else other_m
+        x, y = place_m[k, 0] - mean_m[0], place_m[k, 1] - mean_m[1]
+        xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+    x, y = other_m[0] - one_m[0], other_m[1] - one_m[1]
+    normal_x, normal_y = yy * x - xy * y, xx * y - xy * x
+    length = np.hypot(normal_x, normal_y)
+    return (normal_x / length, normal_y / length) if length > 0.0 else (1.0, 0.0)
 
 
 @entry

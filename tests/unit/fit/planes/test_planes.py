@@ -1058,6 +1058,28 @@ def test_a_step_that_turns_has_a_line_along_each_of_its_parts() -> None:
         assert least <= (residuals_m(fit, point_m) > 0.5).mean() <= most
 
 
+def test_a_short_part_of_a_step_has_a_line() -> None:
+    """A low annex with a part 1.7 m wide that reaches into the higher roof."""
+    xy_m = np.random.default_rng(2).uniform([0, 0], [24, 16], (3840, 2))
+    is_low = (xy_m[:, 1] < 5) | ((xy_m[:, 0] < 1.7) & (xy_m[:, 1] < 9.5))
+    point_m = np.column_stack([xy_m, np.where(is_low, 4.0, 9.0)])
+    ring = np.array([[0, 0], [24, 0], [24, 16], [0, 16.0]])
+    fit = fit_planes([ring], point_m, PLANES)
+    assert fit is not None and (residuals_m(fit, point_m) > 0.5).mean() < 0.005
+
+
+@pytest.mark.parametrize("turn_deg", [4.0, 11.0, 30.0])
+def test_a_step_runs_in_its_own_direction(turn_deg: float) -> None:
+    """As in old towns, between two level roofs, which have no direction. It is straight: no stairs of lines."""
+    xy_m = np.random.default_rng(0).uniform(0, 20, (4000, 2))
+    is_high = xy_m[:, 0] > 10 + np.tan(np.radians(turn_deg)) * (xy_m[:, 1] - 10)
+    point_m = np.column_stack([xy_m, np.where(is_high, 9.0, 5.0)])
+    ring = np.array([[0, 0], [20, 0], [20, 20], [0, 20.0]])
+    fit = fit_planes([ring], point_m, PLANES)
+    assert fit is not None and (residuals_m(fit, point_m) > 0.5).mean() < 0.01
+    assert len(fit.mesh.vertex_m) == 12
+
+
 def test_sparse_points_of_a_large_building_show_all_its_roofs() -> None:
     """In a corner of each roof, points are scattered: where the search begins there, it goes on elsewhere."""
     rng = np.random.default_rng(0)
