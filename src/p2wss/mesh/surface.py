@@ -45,11 +45,15 @@ def _squared_distances(point_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
         normal /= np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
         for k in range(3):
             inward[k] = np.cross(normal, edge[k])
+        (a, b, c), (d, e, f) = corner[:, 0], corner[:, 1]
+        low_x, high_x, low_y, high_y = min(a, b, c), max(a, b, c), min(d, e, f), max(d, e, f)
         for i in range(len(point_m)):
             x, y, z = point_m[i, 0] - corner[0, 0], point_m[i, 1] - corner[0, 1], point_m[i, 2] - corner[0, 2]
             height = x * normal[0] + y * normal[1] + z * normal[2]
-            # no part of the triangle is nearer than its plane
-            if height**2 >= nearest[i]:
+            x, y = point_m[i, 0], point_m[i, 1]
+            x, y = max(low_x - x, x - high_x, 0.0), max(low_y - y, y - high_y, 0.0)
+            # no part of the triangle is nearer than its plane, or than the rectangle around it
+            if max(height**2, x * x + y * y) >= nearest[i]:
                 continue
             is_inside = True
             for k in range(3):

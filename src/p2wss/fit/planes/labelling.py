@@ -39,7 +39,8 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
         choice = _expanded(problem, prices, choice, ZERO)
     choice = _with_fewer_faces(problem, prices, choice)
     label, slots = problem.number[choice], _slots(problem)
-    length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
+    length_m, face = steps_m(problem, prices, label), np.zeros(len(label), np.int64)
+    _find_faces(problem, label, face, np.zeros(1, np.int64))
     is_tried = length_m < 0
     begin, by_line = sorted_by(problem.line, len(length_m))
     while True:
@@ -50,14 +51,37 @@ def _least_cost(problem: Problem, prices: PlanePrices, middle_m: np.ndarray, fir
         is_tried[line], sides = True, by_line[begin[line] : begin[line + 1]]
         cells = _around_steps(problem, prices, middle_m, label, face, sides)
         faces = _Faces(face, np.arange(len(face)), length_m)
-        part, old, origin, lines, _ = _part(problem, prices, choice, faces, cells, np.bool_(True), slots)
+        part, old, origin, lines, around = _part(problem, prices, choice, faces, cells, np.bool_(True), slots)
         before_m3 = total_m3(part, prices, old)
         part.is_barred[lines == line] = True
         new = _with_fewer_faces(part, prices, _relabelled(part, prices, ZERO))
         if total_m3(part, prices, new) < before_m3 - _GAIN_M3:
             choice[cells], problem.is_barred[line] = origin[new[: len(cells)]], True
-            label = problem.number[choice]
-            length_m, face = steps_m(problem, prices, label), faces_of(problem, label)
+            label[cells] = problem.number[choice[cells]]
+            for each in lines:
+                length_m[each] = 0.0
+                for side in by_line[begin[each] : begin[each + 1]]:
+                    one, other = label[problem.pair[side, 0]], label[problem.pair[side, 1]]
+                    length_m[each] += problem.length_m[side] * is_step(problem, prices, side, one, other)
+            _find_faces(problem, label, face, np.concatenate((cells, around)))
+
+
+@allocating
+def _find_faces(problem: Problem, label: np.ndarray, face: np.ndarray, cells: np.ndarray) -> None:
+    """Finds anew the faces of ``cells``, in ``face`` (c,), in place. The number of a face is one of its cells."""
+    is_old, queue = np.zeros(len(face), np.bool_), np.empty(len(face), np.int64)
+    is_old[face[cells]] = True
+    face[is_old[face]] = -1
+    for first in range(len(face)):
+        head, tail = 0, 0
+        if face[first] < 0:
+            face[first], queue[0], tail = first, first, 1
+        while head < tail:
+            cell, head = queue[head], head + 1
+            for place in range(problem.side_first[cell], problem.side_first[cell + 1]):
+                other = beside(problem, problem.side_end[place])
+                if face[other] < 0 and label[other] == label[first]:
+                    face[other], queue[tail], tail = first, other, tail + 1
 
 
 @allocating
@@ -342,11 +366,10 @@ def _expanded(problem: Problem, prices: PlanePrices, choice: np.ndarray, first_p
                         work.candidate[cell], cells[num], num = t, cell, num + 1
             if not is_new or num == 0:
                 continue
-            tried[plane] = time
             num = _taken(problem, prices, choice, plane, num, work)
-            if num == 0:
-                continue
-            time += 1
+            # what it takes now, it cannot add to afterwards
+            time += num > 0
+            tried[plane] = time
             for cell in cells[:num]:
                 choice[cell], changed[cell] = work.candidate[cell], time
                 for way in problem.side_end[problem.side_first[cell] : problem.side_first[cell + 1]]:
