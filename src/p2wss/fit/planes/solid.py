@@ -40,11 +40,14 @@ def solid_below(
 
     label: numbers of planes, or :data:`OUTSIDE`. corner_m: (n, 2), corners of the footprint, which stay as they are.
     """
-    borders = _Borders.of(cells, label, corner_m)
-    exact_m, wall = borders.exact_places(cells, plane)
-    trials = product((exact_m, borders.xy_m), (True, False))
-    meshes = (borders.solid(wall, plane, place_m, is_whole) for place_m, is_whole in trials)
-    return next((mesh for mesh in meshes if mesh is not None), None)
+    # where short sides vanish, four walls may come to share an upright edge
+    for short_m in (STRAIGHT_M, 0.0):
+        borders = _Borders.of(cells, label, corner_m, short_m)
+        exact_m, wall = borders.exact_places(cells, plane)
+        for place_m, is_whole in product((exact_m, borders.xy_m), (True, False)):
+            if (mesh := borders.solid(wall, plane, place_m, is_whole)) is not None:
+                return mesh
+    return None
 
 
 def at_pinch(cells: Arrangement, label: np.ndarray, plane: np.ndarray, sides: np.ndarray) -> np.ndarray:
@@ -78,8 +81,11 @@ class _Borders:
     is_fixed: np.ndarray
 
     @classmethod
-    def of(cls, cells: Arrangement, label: np.ndarray, corner_m: np.ndarray) -> _Borders:
-        """The borders of the connected cells of one plane, without vertices within straight edges."""
+    def of(
+        cls, cells: Arrangement, label: np.ndarray, corner_m: np.ndarray, short_m: float = STRAIGHT_M
+    ) -> _Borders:
+        """The borders of the connected cells of one plane, without sides shorter than ``short_m`` and without vertices
+        within straight edges."""
         face = np.append(label, OUTSIDE)[cells.pair]
         is_border = face[:, 0] != face[:, 1]
         used, vertex = numbered(cells.side[is_border].ravel())
@@ -88,7 +94,7 @@ class _Borders:
         is_used = off_m < STRAIGHT_M
         xy_m[at[is_used]], is_fixed[at[is_used]] = corner_m[is_used], True
         face, line = (np.ascontiguousarray(each[is_border], np.int64) for each in (face, cells.line))
-        side, face, line = straightened(vertex.reshape(-1, 2), face, line, xy_m, is_fixed)
+        side, face, line = straightened(vertex.reshape(-1, 2), face, line, xy_m, is_fixed, short_m)
         return cls(side, face, line, xy_m, is_fixed)
 
     def exact_places(self, cells: Arrangement, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,9 +18,14 @@ SAME_HEIGHT_M = 4e-3
 
 @entry
 def straightened(
-    side: np.ndarray, face: np.ndarray, line: np.ndarray, xy_m: np.ndarray, is_fixed: np.ndarray
+    side: np.ndarray,
+    face: np.ndarray,
+    line: np.ndarray,
+    xy_m: np.ndarray,
+    is_fixed: np.ndarray,
+    short_m: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(side, face, line) without sides of no length and without vertices within straight edges.
+    """(side, face, line) without sides shorter than ``short_m`` and without vertices within straight edges.
 
     side: int64 (s, 2), the vertices of each side. face: int64 (s, 2), the faces to its left and to its right, or
     OUTSIDE. line: int64 (s,), the line of each side; where two sides become one, the line of the longer one. xy_m:
@@ -32,7 +37,7 @@ def straightened(
     rank, num_made, is_gone = np.arange(len(side)), len(side), np.zeros(len(side), np.bool_)
     for k in range(len(side)):
         a, b = side[k]
-        if is_gone[k] or np.hypot(xy_m[a, 0] - xy_m[b, 0], xy_m[a, 1] - xy_m[b, 1]) >= STRAIGHT_M:
+        if is_gone[k] or np.hypot(xy_m[a, 0] - xy_m[b, 0], xy_m[a, 1] - xy_m[b, 1]) >= short_m:
             continue
         if not is_fixed[b] and _contracted(side, face, line, is_gone, k, a, b):
             continue

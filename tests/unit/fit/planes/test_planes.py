@@ -664,6 +664,19 @@ def test_a_solid_is_closed_where_no_sides_are_at_a_pinch() -> None:
     assert 10 < num_closed < 55
 
 
+def test_a_solid_is_closed_where_lines_cross_within_millimetres() -> None:
+    """Without the side of 3 mm between the low roofs, four walls would share an upright edge."""
+    ring = np.array([[-5, -5], [5, -5], [5, 5], [-5, 5.0]])
+    across, along = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    cells = arrange([ring], [Line(across, 0.0), Line(across, 0.003), Line(along, 0.0)], 100)
+    assert cells is not None
+    x_m, y_m = cells.middle_m.T
+    label = np.where(y_m > 0, np.where(x_m < 0, 0, 1), np.where(x_m < 0.003, 2, 3))
+    mesh = solid_below(cells, label, np.array([[0, 0, 9.0], [0, 0, 3.0], [0, 0, 4.0], [0, 0, 8.0]]), ring)
+    assert mesh is not None and is_closed(mesh.vertex_m, mesh.triangle)
+    assert volume_m3(mesh) == pytest.approx(25 * (9 + 3 + 4 + 8), abs=0.2)
+
+
 @pytest.mark.parametrize("seed", range(16))
 def test_solids_are_closed_planar_and_upright(seed: int) -> None:
     """Random planes over a random division of a footprint with a courtyard."""
