@@ -32,7 +32,7 @@ from p2wss.mesh import Mesh
 from p2wss.skeleton.angles import slope_angles
 from p2wss.skeleton.groups import groups
 from p2wss.skeleton.nearest import nearest
-from p2wss.skeleton.types import distinct
+from p2wss.skeleton.types import distinct, numbered
 
 # cubic metres: the price, beyond all others, of each upright edge of four walls
 _PINCH_M3 = 1e6
@@ -245,8 +245,8 @@ def _drawn(
 
 
 def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """The labels (c,) without upright edges that four walls share, where possible: cells at such an edge get the plane
-    of a cell beside them, as cheaply as possible."""
+    """The labels (c,) without upright edges that four walls share, where possible: all cells of a plane side by side
+    at such an edge get the plane of a cell beside them, as cheaply as possible."""
     pending = at_pinch(cells, label, plane, np.arange(len(cells.side))).tolist()
     if not pending:
         return label
@@ -255,18 +255,24 @@ def _without_pinches(cells: Arrangement, costs: Costs, label: np.ndarray, plane:
         place = pending.pop()
         sides = sides_at(np.array([place]))
         pair = cells.pair[sides]
-        pair = pair[(pair >= 0).all(axis=1)]
-        moves = [(cell, label[beside]) for cell, beside in np.vstack([pair, pair[:, ::-1]]).tolist()]
+        cell, pair = numbered(pair[(pair >= 0).all(axis=1)].ravel())
+        pair = pair.reshape(-1, 2)
+        is_border = label[cell[pair[:, 0]]] != label[cell[pair[:, 1]]]
+        sector = groups(len(cell), pair[~is_border])
+        pair = np.vstack([pair[is_border], pair[is_border, ::-1]])
+        moves = zip(sector[pair[:, 0]].tolist(), label[cell[pair[:, 1]]].tolist(), strict=True)
         best_m3, best = -_GAIN_M3, None
-        for cell, number in dict.fromkeys(moves):
-            changed = label.copy()
-            changed[cell] = number
-            corner = distinct(cells.side[sides_of(np.array([cell]))])
+        for each, number in dict.fromkeys(moves):
+            moved, changed, saved_m3 = cell[sector == each], label.copy(), 0.0
+            for one in moved:
+                saved_m3 += costs.change_m3(changed, one, number)
+                changed[one] = number
+            corner = distinct(cells.side[sides_of(moved)])
             around = sides_at(corner)
             before, after = (
                 np.intersect1d(at_pinch(cells, x, plane, around), corner) for x in (label, changed)
             )
-            saved_m3 = _PINCH_M3 * (len(after) - len(before)) + costs.change_m3(label, cell, number)
+            saved_m3 += _PINCH_M3 * (len(after) - len(before))
             if saved_m3 < best_m3:
                 best_m3, best, still = saved_m3, changed, after
         if best is not None:

@@ -19,7 +19,7 @@ from p2wss.fit.planes import arrangement, lines
 from p2wss.fit.planes.arrangement import GRID_M, _pieces, arrange
 from p2wss.fit.planes.costs import candidates_of, costs_of
 from p2wss.fit.planes.detection import RoofPlanes, _merged, detect, height_over, heights, payable
-from p2wss.fit.planes.fit import PlanesFit, fit_planes
+from p2wss.fit.planes.fit import PlanesFit, _without_pinches, fit_planes
 from p2wss.fit.planes.labelling import least_cost
 from p2wss.fit.planes.lines import Line, edges_of, ends_of, lines_of
 from p2wss.fit.planes.regularity import regular
@@ -643,6 +643,29 @@ def test_roofs_that_touch_along_an_upright_edge_only_are_no_solid() -> None:
     assert pinch_m.tolist() == [[5.0, 5.0]]
     assert solid_below(cells, label * 0, plane, square) is not None
     assert not len(at_pinch(cells, label * 0, plane, every))
+
+
+def test_all_cells_of_a_roof_at_an_upright_edge_of_four_walls_change_together() -> None:
+    """Lines along the diagonals divide each of four quarters, high and low in turn, into two cells."""
+    square = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
+    cells = arrange(
+        [square],
+        [Line(each, 0.0) for each in np.eye(2)] + [Line(np.array([0.6, s * 0.8]), 0.0) for s in (1, -1)],
+    )
+    label = (cells.middle_m > 0).sum(axis=1) % 2
+    plane = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 6.0]])
+    # points show three quarters well, and the fourth with a single point
+    x, y = np.meshgrid(np.arange(-4.5, 5.0, 1.0), np.arange(-4.5, 5.0, 1.0))
+    xy_m = np.column_stack([x.ravel(), y.ravel()])
+    xy_m = xy_m[(xy_m < 0.0).any(axis=1) | (xy_m == 2.5).all(axis=1)]
+    cell = cells.cells_at(xy_m)
+    point_m = np.column_stack([xy_m, height_over(plane, label[cell], xy_m)])
+    every = np.arange(len(label) + 1) * 2, np.tile(np.arange(2), len(label))
+    costs = costs_of(cells, plane, point_m, cell, np.ones(len(point_m)), PLANES.prices, every)
+    result = _without_pinches(cells, costs, label, plane)
+    x_m, y_m = cells.middle_m.T
+    assert result.tolist() == np.where((x_m > 0) & (y_m > 0), 1, label).tolist()
+    assert solid_below(cells, result, plane, square) is not None
 
 
 def test_a_solid_is_closed_where_no_sides_are_at_a_pinch() -> None:
