@@ -119,12 +119,10 @@ class Detection(NamedTuple):
     # ``max_seed_points``
     num_seeds: int = 120
     max_seed_points: int = 40000
-    # metres in plan: the least distance between two points that show a slope; the tangent of the steepest slope
+    # metres in plan: the least distance between two points that show a slope
     min_run_m: float = 0.5
-    max_slope: float = 2.2
-    # tangent of the slope, 75 degrees, of the steepest roof of the paper. A steeper plane is a wall, or goes through
-    # points along a line
-    steepest: float = 3.73
+    # tangent of the slope, 83 degrees, of steep spires. A steeper plane is a wall, or goes through points along a line
+    steepest: float = 8.14
     # turns in which points go to the best plane near them; between two turns, planes are fitted to their points
     num_turns: int = 3
     # metres: noise of a point; smaller residuals have full weight

@@ -111,12 +111,13 @@ def _met(
     num_vertices, walls_stay = len(vertex_m), not is_free.any()
     vertex, plane = planes_at(triangle, label, num_vertices)
     at, plane_at = planes_at(joined, label, num_vertices)
-    plane_kind, normal, _ = planes_of(mesh, len(is_free))
+    plane_kind, normal, area_m2 = planes_of(mesh, len(is_free))
     first_m = vertex_m.copy()
     # either end may stand for the point, as the conditions are linear
     first_m[end] = vertex_m[min(end, gone)]
-    for turns in (False, True):
-        row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, is_free, turns)
+    # small roofs change rather than large ones; if that is too much for them, all alike
+    for by_area, turns in ((1.0, False), (1.0, True), (0.0, False), (0.0, True)):
+        row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, by_area * area_m2, is_free, turns)
         counts = (np.arange(num_vertices) == end) | (end < 0)
         point_m, apart_m = points(first_m, row, scale, at, plane_at, counts, walls_stay)
         if apart_m.max() > _PLANAR_M:

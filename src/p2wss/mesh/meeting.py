@@ -17,6 +17,8 @@ EXACT_M = 1e-6
 # how much more the heights count that result from tilting a level roof; roofs narrower than the second share of their
 # length have no slope across
 _STIFF, _THIN = 100.0, 1e-12
+# square metres: smaller and larger roofs count as these
+_LEAST_M2, _MOST_M2 = 0.01, 1e6
 # planes that nearly meet in a line, to this share, do not move their point along the line
 _RANK = 1e-2
 # added to the diagonal of the normal equations: changes of planes that hardly move a vertex are not made
@@ -60,7 +62,7 @@ def with_meeting_planes(
     at, plane_at = np.divmod(distinct(pairs), num)
     vertex_m = writable(mesh.vertex_m, np.float64)
     point_m, apart_m = _meeting_points(
-        vertex_m, first, vertex, plane, at, plane_at, planes.kind, planes.normal
+        vertex_m, first, vertex, plane, at, plane_at, planes.kind, planes.normal, planes.area_m2
     )
     moved_m = point_m[place, :3]
     stays = np.abs(moved_m - vertex_m) < EXACT_M
@@ -78,11 +80,14 @@ def _meeting_points(
     plane_at: np.ndarray,
     kind: np.ndarray,
     normal: np.ndarray,
+    area_m2: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The result of :func:`points` for planes of a mesh. first: int64 (n,), a vertex of each place. vertex, plane: all
     pairs of a vertex and a plane there. at, plane_at: all pairs of a place and a plane there. kind, normal: of the
     planes."""
-    row, scale = equations(vertex_m, vertex, plane, kind, normal, np.zeros(len(kind), np.bool_), True)
+    row, scale = equations(
+        vertex_m, vertex, plane, kind, normal, area_m2, np.zeros(len(kind), np.bool_), True
+    )
     return points(vertex_m[first], row, scale, at, plane_at, np.ones(len(first), np.bool_), False)
 
 
@@ -198,6 +203,7 @@ def equations(
     plane: np.ndarray,
     kind: np.ndarray,
     normal: np.ndarray,
+    area_m2: np.ndarray,
     is_free: np.ndarray,
     turns: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -206,8 +212,10 @@ def equations(
     The distance of a point (x, y, z) from a plane is the product of (x, y, z, 1) with its row. For a roof, the row has
     the slopes from least squares and -1 and gives the distance upright; for other planes it has the unit normal. A
     change of a plane is a vector (3,); ``scale`` times it is the change of the row. It is scaled so that it is as long
-    as the vector of the changes in height of the vertices. vertex, plane: all pairs of a vertex and a plane there.
-    is_free: bool (p,), walls that may shift though they are on floors. turns: whether walls between roofs may turn.
+    as the vector of the changes in height of the vertices, for a roof times the root of its area for each vertex, so
+    that the least change is that of a large roof. vertex, plane: all pairs of a vertex and a plane there. area_m2:
+    (p,), of the planes; 0 if areas do not count. is_free: bool (p,), walls that may shift though they are on floors.
+    turns: whether walls between roofs may turn.
     """
     num, on_floor = len(kind), np.zeros(len(vertex_m), np.bool_)
     size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
@@ -266,6 +274,8 @@ def equations(
                 x, y = -y, x
         for i in range(3):
             row[p, 3] -= row[p, i] * base[p, i]
+        if kind[p] != _WALL and area_m2[p] > 0.0:
+            scale[p] *= np.sqrt(size[p] / min(max(area_m2[p], _LEAST_M2), _MOST_M2))
     return row, scale
 
 

@@ -21,6 +21,9 @@ _ROUNDING = 1e-6
 # the roughness at this quantile of the points is of a surface without edges; it is so many standard deviations of a
 # point
 _EVEN_SHARE, _EVEN_ROUGHNESS = 0.25, 0.62
+# the unit normal of a steep plane has less height than the first figure, and none has less than the second. The plane
+# has so many points or more, and they are less than so many times as far from it as noise
+_STEEP_NZ, _LEAST_NZ, _MANY, _ROUGH = 0.5, 1e-3, 8, 3.0
 # mark of points that have a plane; larger than the mark of any search
 _TAKEN = np.iinfo(np.int64).max
 
@@ -178,27 +181,37 @@ def _on_lines(point_m: np.ndarray, neighbour: np.ndarray, settings: Detection) -
 
 @allocating
 def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
-    """The plane (3,) of the points (m, 3) in the first ``num`` of ``rows``, int64 (k,), by reweighted least squares,
-    which approximate least absolute residuals. It is level for one or two points."""
+    """The plane (3,) of the points (m, 3) in the first ``num`` of ``rows``, int64 (k,), by reweighted least squares of
+    upright distances, which approximate least absolute residuals. It is level for one or two points. A steep plane is
+    that of least distances, as noise in plan would make it less steep: a wall is found to be one, and points along a
+    line, which lie on planes of any slope, mostly are no roof."""
     centre = np.zeros(3)
     for t in range(num):
         for k in range(3):
             centre[k] += point_m[rows[t], k] / num
     a = b = c = 0.0
+    is_steep, scale = False, 1.0
     for step in range(4 if num > 2 else 0):
-        xx = xy = yy = sx = sy = one = xz = yz = sz = 0.0
+        xx = xy = yy = sx = sy = one = xz = yz = sz = zz = 0.0
         for t in range(num):
             x, y = point_m[rows[t], 0] - centre[0], point_m[rows[t], 1] - centre[1]
             z = point_m[rows[t], 2] - centre[2]
-            w = 1.0 if step == 0 else 1.0 / max(abs(a * x + b * y + c - z), noise_m)
+            w = 1.0 if step == 0 else 1.0 / max(scale * abs(a * x + b * y + c - z), noise_m)
             xx, xy, yy = xx + w * x * x, xy + w * x * y, yy + w * y * y
             sx, sy, one = sx + w * x, sy + w * y, one + w
-            xz, yz, sz = xz + w * x * z, yz + w * y * z, sz + w * z
-        ridge = 1e-9 * num
-        xx, yy = xx + ridge - sx * sx / one, yy + ridge - sy * sy / one
+            xz, yz, sz, zz = xz + w * x * z, yz + w * y * z, sz + w * z, zz + w * z * z
+        xx, yy, zz = xx - sx * sx / one, yy - sy * sy / one, zz - sz * sz / one
         xy, xz, yz = xy - sx * sy / one, xz - sx * sz / one, yz - sy * sz / one
-        determinant = xx * yy - xy * xy
-        a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
+        if step == 0 or is_steep:
+            x, y, z, least = _least_axis(xx, xy, xz, yy, yz, zz)
+            is_flat = num >= _MANY and least < num * (_ROUGH * noise_m) ** 2
+            is_steep = is_steep or (is_flat and z < _STEEP_NZ)
+        if is_steep:
+            a, b, scale = -x / max(z, _LEAST_NZ), -y / max(z, _LEAST_NZ), max(z, _LEAST_NZ)
+        else:
+            ridge = 1e-9 * num
+            determinant = (xx + ridge) * (yy + ridge) - xy * xy
+            a, b = (xz * (yy + ridge) - yz * xy) / determinant, (yz * (xx + ridge) - xz * xy) / determinant
         c = (sz - a * sx - b * sy) / one
     return np.array([a, b, c + centre[2] - a * centre[0] - b * centre[1]])
 
@@ -229,11 +242,7 @@ def _fewest(plane: np.ndarray, min_points: int, settings: Detection) -> int:
 @entry
 def _surfaces(point_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(normals (m, 3), roughness (m,)) of the surface around each point. A normal points upwards. Roughness is the
-    standard deviation of the points ``neighbour`` (m, k) along the normal, in metres.
-
-    Both follow from the smallest eigenvalue of the covariance matrix, which is a root of a cubic (Smith, Eigenvalues of
-    a symmetric 3 x 3 matrix, 1961).
-    """
+    standard deviation of the points ``neighbour`` (m, k) along the normal, in metres."""
     normal, rough_m = np.empty(point_m.shape), np.empty(len(point_m))
     count = neighbour.shape[1]
     for row in range(len(point_m)):
@@ -250,27 +259,37 @@ def _surfaces(point_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, n
             )
             xx, xy, xz = xx + x * x / count, xy + x * y / count, xz + x * z / count
             yy, yz, zz = yy + y * y / count, yz + y * z / count, zz + z * z / count
-        mean = (xx + yy + zz) / 3
-        a, b, c = xx - mean, yy - mean, zz - mean
-        size = max(np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6), 1e-12)
-        half = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2 * size**3)
-        turn = np.arccos(min(max(half, -1.0), 1.0)) / 3
-        least = mean + 2 * size * np.cos(turn + 2 * np.pi / 3)
-        a, b, c = xx - least, yy - least, zz - least
-        best = -1.0
-        # cross products of two rows are all along the eigenvector; the longest one is the most exact
-        for x, y, z in (
-            (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy),
-            (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz),
-            (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz),
-        ):
-            length = np.sqrt(x * x + y * y + z * z)
-            if length > best:
-                best, sign = length, -1.0 if z < 0 else 1.0
-                normal[row, 0], normal[row, 1], normal[row, 2] = sign * x, sign * y, sign * z
-        normal[row] /= max(best, 1e-300)
+        normal[row, 0], normal[row, 1], normal[row, 2], least = _least_axis(xx, xy, xz, yy, yz, zz)
         rough_m[row] = np.sqrt(max(least, 0.0))
     return normal, rough_m
+
+
+@inner
+def _least_axis(
+    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
+) -> tuple[float, float, float, float]:
+    """(x, y, z, least): the unit vector, upwards, along which points of this covariance matrix vary least, and the
+    least eigenvalue, a root of a cubic (Smith, Eigenvalues of a symmetric 3 x 3 matrix, 1961)."""
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    size = max(np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6), 1e-12)
+    half = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2 * size**3)
+    turn = np.arccos(min(max(half, -1.0), 1.0)) / 3
+    least = mean + 2 * size * np.cos(turn + 2 * np.pi / 3)
+    a, b, c = xx - least, yy - least, zz - least
+    best, along = -1.0, (0.0, 0.0, 1.0)
+    # cross products of two rows are all along the eigenvector; the longest one is the most exact
+    for x, y, z in (
+        (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy),
+        (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz),
+        (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz),
+    ):
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > best:
+            best, sign = length, -1.0 if z < 0 else 1.0
+            along = (sign * x, sign * y, sign * z)
+    best = max(best, 1e-300)
+    return along[0] / best, along[1] / best, along[2] / best, least
 
 
 @entry
@@ -289,8 +308,9 @@ def _grown(
     plane, num_planes = np.empty((num // min(min_points, settings.min_points) + 1, 3)), 0
     rows = np.empty(num + neighbour.shape[1], np.int64)
     min_along = np.cos(np.radians(settings.angle_deg))
+    least_z = 1 / np.sqrt(1 + settings.steepest**2)
     for seed in order:
-        if label[seed] >= 0 or normal[seed, 2] < 0.3:
+        if label[seed] >= 0 or normal[seed, 2] < least_z:
             continue
         count = _free(neighbour[seed], label, rows)
         if count < neighbour.shape[1] // 2:
@@ -418,14 +438,14 @@ def _planes_at(
         rise_m = point_m[other, 2] - point_m[seed, 2]
         for along in axis:
             run_m = along[0] * x + along[1] * y
-            if abs(run_m) >= settings.min_run_m and abs(rise_m) <= settings.max_slope * abs(run_m):
+            if abs(run_m) >= settings.min_run_m and abs(rise_m) <= settings.steepest * abs(run_m):
                 a, b = rise_m / run_m * along[0], rise_m / run_m * along[1]
                 plane[num, 0], plane[num, 1] = a, b
                 plane[num, 2], num = point_m[seed, 2] - a * point_m[seed, 0] - b * point_m[seed, 1], num + 1
     count = _free(beside, label, rows)
     if count >= settings.min_slope_points:
         around = fit(point_m, rows, count, settings.noise_m)
-        if np.hypot(around[0], around[1]) <= settings.max_slope:
+        if np.hypot(around[0], around[1]) <= settings.steepest:
             plane[num], num = around, num + 1
     return plane[:num].copy()
 
