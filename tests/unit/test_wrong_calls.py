@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import sys
 import warnings
@@ -131,7 +132,9 @@ def test_what_people_have_works() -> None:
     masked = np.ma.masked_less(
         np.vstack([cloud, np.full((200, 4), -9999.0), [[5.0, 3.0, -9999.0, 6.0]] * 200]), -9
     )
-    for points in (cloud.tolist(), pd.DataFrame(cloud), masked):
+    # as pdal.Pipeline.arrays[0]
+    structured = np.rec.fromarrays(cloud.T[[3, 0, 1, 2]], names="Classification,X,Y,Z")
+    for points in (cloud.tolist(), pd.DataFrame(cloud), masked, np.asarray(structured)):
         (building,) = p2wss.reconstruct(points, [house], **options | {"crs": 2154}).values()
         volumes.add(building.mesh.volume)
     assert len(volumes) == 1
@@ -163,6 +166,10 @@ def test_what_people_have_works() -> None:
             {"cloud": pd.DataFrame({"x": [1.0, 2], "Y": ["1", "n/a"], "z": [1, 2]})},
             "the cloud's column Y is not of numbers: could not convert string to float: 'n/a'",
         ),
+        (
+            {"cloud": np.zeros(5, [("X", "i4"), ("Y", "i4"), ("Z", "i4")])},
+            "X, Y and Z are whole numbers, as in LAS before scale and offset",
+        ),
         ({"ids": "b12"}, "has no building b12"),
         ({"ids": []}, r"ids: state ids of buildings, not \[\]"),
         ({"bbox": (0, 0, 1)}, r"bbox: state four numbers: x_min, y_min, x_max, y_max, not \(0, 0, 1\)"),
@@ -184,6 +191,25 @@ def test_what_is_said_of_wrong_roofs_places_and_formats(tmp_path: Path) -> None:
         p2wss.fetch((48.853, 2.350, 48.856, 2.354), folder=tmp_path)  # and no request is sent
     scene = p2wss.reconstruct(gable_points(), footprints()[:1], model="none", progress=False)
     assert {path.suffix for path in scene.write(tmp_path, formats="glb")} == {".glb", ".json"}
+    with pytest.raises(p2wss.InputError, match=r"\(did you mean obj\?\)"):
+        scene.write(tmp_path, formats="OBJ")
+    (tmp_path / "taken").touch()
+    with pytest.raises(p2wss.InputError, match=r"taken/out: not written: .*taken is a file; name a folder"):
+        scene.write(tmp_path / "taken" / "out")
+    with pytest.raises(p2wss.InputError, match="has no building b12"):
+        scene.plot(ids="b12")
+    for function in (p2wss.read, p2wss.check):
+        with pytest.raises(p2wss.InputError, match=f"{tmp_path}: is a folder; name a file in it"):
+            function(tmp_path)
+
+
+def test_a_scene_that_nobody_closes_closes_its_file() -> None:
+    scene = p2wss.reconstruct(gable_points(), footprints()[:1], model="none", progress=False)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        del scene
+        gc.collect()
+    assert [str(each.message) for each in caught if each.category is ResourceWarning] == []
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

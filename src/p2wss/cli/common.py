@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import tempfile
 import time
 from collections import Counter
@@ -265,15 +264,5 @@ def check_out(out: Path, config: Config) -> None:
     if config.reconstruct.writes_parquet:
         import pyarrow.parquet  # noqa: F401
     files.check_folder(out, OUTPUT_SUFFIXES.values())
-    folder = existing_folder(out)
-    if not folder.is_dir():
-        raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")
-    with writing(out), tempfile.TemporaryFile(dir=folder):
+    with writing(out), tempfile.TemporaryFile(dir=files.existing_folder(out)):
         pass
-
-
-def existing_folder(out: Path) -> Path:
-    """``out``, or the nearest folder above it that exists."""
-    while not os.path.lexists(out):
-        out = out.parent
-    return out

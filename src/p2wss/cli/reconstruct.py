@@ -16,7 +16,6 @@ from p2wss.cli.common import (
     config_option,
     crs_option,
     device_option,
-    existing_folder,
     inputs_argument,
     log_options,
     threads_option,
@@ -146,7 +145,7 @@ def reconstruct(
     checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty, lines)
     with importing():
         from p2wss.reconstruction import run  # only now, as it takes a second
-    machine = run.Machine(device, threads, existing_folder(out))
+    machine = run.Machine(device, threads, files.existing_folder(out))
     if chosen["bbox"] is not None:
         from p2wss.fetching.area import bounds_of_bbox  # which loads pandas
 

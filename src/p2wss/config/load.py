@@ -100,6 +100,7 @@ def _suggestion(error: Any) -> str:
             if isinstance(part, str) and part in getattr(model, "model_fields", {}):
                 model = model.model_fields[part].annotation
         names = list(getattr(model, "model_fields", {}))
+    key = key.lower()
     matches = [name for name in names if name.startswith(key)]
     if error["type"] == "literal_error":  # gpkg is short for geopackage
         matches += [name for name in names if re.match(".*".join(name), key)]

@@ -411,7 +411,15 @@ def _in_memory(cloud: CloudInput) -> Cloud:
     try:
         # a table's columns are taken by name, whatever their order, and whatever other columns there are
         table: Any = cloud
-        named = {str(name).lower(): name for name in getattr(table, "columns", ())}
+        names = getattr(table, "columns", ())
+        if isinstance(cloud, np.ndarray) and cloud.dtype.names:
+            names = cloud.dtype.names
+            if any(cloud.dtype[name].kind != "f" for name in names if name.lower() in ("x", "y", "z")):
+                raise InputError(
+                    "the cloud's X, Y and Z are whole numbers, as in LAS before scale and offset; give the"
+                    " laspy.LasData, or coordinates"
+                )
+        named = {str(name).lower(): name for name in names}
         if {"x", "y", "z"} <= named.keys():
             chosen = [named[name] for name in ("x", "y", "z", "classification") if name in named]
             table = np.column_stack([_numbers(table[name], name) for name in chosen])

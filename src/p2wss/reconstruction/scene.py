@@ -394,6 +394,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         -------
         matplotlib.axes.Axes
         """
+        if missing := [each for each in ids or () if each not in self]:
+            raise InputError(f"{self.name}: has no building {missing[0]}")
         chosen = self.values() if ids is None else [self[each] for each in ids]
         return picture.plot(chosen, view, axes)
 

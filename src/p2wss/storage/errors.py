@@ -29,7 +29,9 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
         raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
-    except (IsADirectoryError, PermissionError) as error:
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; name a file in it") from error
+    except PermissionError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise InputError(f"{path}: not {kind}: it would take more memory than there is") from error

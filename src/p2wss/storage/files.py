@@ -286,12 +286,21 @@ def check_stem(name: str) -> None:
 
 
 def check_folder(folder: Path, endings: Iterable[str]) -> None:
-    """Raise :class:`InputError` for a folder that does not exist and has the ending of one of the files to be written
-    in it."""
+    """Raise :class:`InputError` for a folder that is a file or lies in one, or that does not exist and has the ending
+    of one of the files to be written in it."""
     if folder.name.lower().endswith(tuple(endings)) and not folder.exists():
         raise InputError(
             f"{folder}: results are several files; name a folder; --name, name= in Python, is of the files"
         )
+    if not (above := existing_folder(folder)).is_dir():
+        raise InputError(f"{folder}: not written: {above} is a file; name a folder for the outputs")
+
+
+def existing_folder(out: Path) -> Path:
+    """``out``, or the nearest folder above it that exists."""
+    while not os.path.lexists(out):
+        out = out.parent
+    return out
 
 
 def write_text(path: str | Path, text: str | Iterable[str]) -> None:

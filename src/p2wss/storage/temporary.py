@@ -9,6 +9,7 @@ import shutil
 import socket
 import tempfile
 import time
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -113,6 +114,8 @@ class Scratch(Closeable):
         self._name = f"{folder}: temporary file of {content}"
         with writing(self._name):
             self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+        # a scene that nobody closes takes the file with it, without a ResourceWarning
+        weakref.finalize(self, self._file.close)
 
     def close(self) -> None:
         """Close the file, which removes it."""
