@@ -4,8 +4,6 @@ Commands are imported when they run, and import heavy modules when they run, so 
 once. Whatever decides a result belongs in the package of the stage.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import logging

@@ -1,7 +1,5 @@
 """``p2wss check``: whether the solids of CityJSON files are valid."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """``p2wss crops``: the points of each building."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import compress
 from pathlib import Path

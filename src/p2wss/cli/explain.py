@@ -1,7 +1,5 @@
 """``p2wss explain``: why the roof of a building is as it is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """``p2wss fetch``: footprints, terrain and LiDAR of a region."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``p2wss inspect``: the contents of files, and what a run would make of them together."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

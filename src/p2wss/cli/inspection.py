@@ -1,7 +1,5 @@
 """Describe the contents of files that p2wss writes, and of files of IGN that it reads."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """``p2wss outlines``: outlines of buildings from LiDAR alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

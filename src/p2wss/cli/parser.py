@@ -1,7 +1,5 @@
 """How commands read their arguments: by click, with lists of files and with settings of the config as options."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin

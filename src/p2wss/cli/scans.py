@@ -1,7 +1,5 @@
 """``p2wss scans``: simulate the LiDAR survey of one scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """``p2wss scene``: from a place on the map to a scene for radar and radio simulation."""
 
-from __future__ import annotations
-
 import time
 from datetime import UTC, datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``p2wss scenes``: cut tiles with clean footprints, heights and roof angles."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``p2wss view``: buildings of any CityJSON file on a page."""
 
-from __future__ import annotations
-
 import webbrowser
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``p2wss workflow``: a project of the Snakemake workflow, which comes with the package."""
 
-from __future__ import annotations
-
 import shutil
 import sysconfig
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Read and validate configs, and pass sections on as JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Collection

@@ -4,8 +4,6 @@ Imports no slow modules, because the Snakefile uses it at every start: a new ins
 reruns the baseline.
 """
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

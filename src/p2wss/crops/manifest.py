@@ -6,8 +6,6 @@ the shards and their other buildings. Of each split of the simulated buildings, 
 clouds, the lowest ranks are for the evaluation and the next ones for the training of the dvae: no cloud is in both.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ The rules use this too, so that a replaced file reruns everything that depends o
 Snakemake, so it uses only the standard library and reads at most the header of a file.
 """
 
-from __future__ import annotations
-
 import struct
 from glob import glob
 from pathlib import Path

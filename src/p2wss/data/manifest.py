@@ -1,7 +1,5 @@
 """The manifest of the crops: JSON that lists the shards (written by the stage crops)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 The footprints decide which points belong to which building, so that files of several programs can be compared.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace

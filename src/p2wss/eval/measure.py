@@ -1,8 +1,6 @@
 """Chamfer distance, number of triangles and errors of every reconstruction (paper, section 5.3), and errors of its
 height, angles and footprint against the labels (Table 1)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reconstructions of the buildings of the evaluation by each of its methods."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol

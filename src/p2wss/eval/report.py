@@ -1,7 +1,5 @@
 """``report.html``, a single file that needs no other file and no internet, and its tables as CSV and LaTeX."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence

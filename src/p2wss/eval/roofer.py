@@ -4,8 +4,6 @@ No part of it belongs to this package. It reads LAZ and GeoPackage and writes Ci
 cannot be run, recorded CityJSON of an earlier run may replace it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """Fetch footprints, terrain and LiDAR of a place into a folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The buildings of BD TOPO (layer ``batiment``) or of another source, with the columns that we use."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from io import BytesIO

@@ -1,7 +1,5 @@
 """Write one LAZ file per tile from the files that hold its points, and check delivered clouds."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections import Counter

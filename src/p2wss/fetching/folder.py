@@ -1,7 +1,5 @@
 """Source ``folder``: files on disk, such as BD TOPO, RGE ALTI and LiDAR HD as IGN delivers them."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ The services and their limits are documented at https://cartes.gouv.fr. All name
 settings, because IGN changes them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

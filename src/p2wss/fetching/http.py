@@ -1,7 +1,5 @@
 """HTTP requests that respect the service's limits, retry transient failures and detect incomplete responses."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable, Collection, Iterator

@@ -1,7 +1,5 @@
 """The sources of data. Both kinds offer the same three methods (:class:`Source`)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Protocol
 

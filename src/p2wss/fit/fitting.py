@@ -1,7 +1,5 @@
 """Buildings fitted to their points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass

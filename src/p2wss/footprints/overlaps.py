@@ -1,7 +1,5 @@
 """One building once: footprints that are there twice, lie in others, or are the outline of parts."""
 
-from __future__ import annotations
-
 import logging
 import shlex
 from collections import Counter, defaultdict

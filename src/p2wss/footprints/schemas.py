@@ -1,7 +1,5 @@
 """Columns of common footprint sources: ids, heights, numbers of storeys."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

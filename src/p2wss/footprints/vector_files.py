@@ -1,7 +1,5 @@
 """Read vector files: all formats and geometries that GDAL knows, each feature with its number in the file."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct

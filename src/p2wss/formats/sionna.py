@@ -4,8 +4,6 @@
 within a shape, and a shape has only one material. So a shape is by default a whole solid.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Collection, Mapping, Sequence

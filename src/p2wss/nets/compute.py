@@ -1,7 +1,5 @@
 """The device that tensors are on, and the precision of matrix products."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager

@@ -5,8 +5,6 @@ the most probable digit at each place; a wrong tens digit then costs ten metres.
 distribution has the least expected absolute error, and the distributions of several views can be averaged.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import torch

@@ -1,7 +1,5 @@
 """Files of trained weights: safetensors with the configs, the code's fingerprint and the last measures."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Files of weights: the one that comes with the package, and the metadata of a file. Imports no torch."""
 
-from __future__ import annotations
-
 import json
 from importlib.resources import files
 from pathlib import Path

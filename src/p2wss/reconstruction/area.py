@@ -4,8 +4,6 @@ A batch is some of the footprints, together with the footprints on which their r
 around all of these. So a building is the same in any batch, in any tile, and alone.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace

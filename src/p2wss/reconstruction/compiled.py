@@ -1,7 +1,5 @@
 """Whether the code is compiled for this computer. A module of its own, so that the answer needs no slow import."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -1,7 +1,5 @@
 """Why a roof is as it is: the planes that its points show, the lines between planes, and what each price decided."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Buildings without a fitted roof: flat ones, and ones of constant height and angle."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

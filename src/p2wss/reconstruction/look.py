@@ -1,7 +1,5 @@
 """What a run would understand of clouds, footprints and terrain, told before an hour of computing."""
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from pathlib import Path

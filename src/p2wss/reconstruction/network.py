@@ -1,7 +1,5 @@
 """Buildings from networks: heights and angles that are predicted, and roofs that are supposed between few points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Stage reconstruct: from the user's own footprints and LiDAR to closed buildings, each with a status."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Solids that are not valid by the rules of ISO 19107 are replaced by simpler ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain

@@ -1,7 +1,5 @@
 """Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec

@@ -1,8 +1,6 @@
 """Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in docs/methods/scans.md), or
 of any meshes without a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Build the closed mesh of each footprint from its eave height and roof angles (paper, section 3)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import geopandas as gpd

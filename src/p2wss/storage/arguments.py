@@ -3,8 +3,6 @@
 A parameter is checked by its name, since one name means the same in every function.
 """
 
-from __future__ import annotations
-
 import inspect
 import logging
 import math

@@ -1,7 +1,5 @@
 """The one exception that users see, and the conversion of errors of files, and of libraries that read them, into it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -8,8 +8,6 @@ of JSON, and else in a last line that follows the content (LAZ, TIFF, GeoPackage
 A file without a checksum was not written by p2wss, and is read without verification.
 """
 
-from __future__ import annotations
-
 import hashlib
 import mmap
 import os

@@ -3,8 +3,6 @@
 laspy reads the first record that it knows, and of GeoTIFF keys the horizontal CRS only. The rest is read here.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress

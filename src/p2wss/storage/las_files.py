@@ -1,7 +1,5 @@
 """Open LAS, LAZ and COPC files after checking their headers, so that none uses unbounded time or memory."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """Lines of the log."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ Each version of a module is parsed once: what counts of it is kept in a file bes
 its bytes. A digest of the code does not depend on the version of Python.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Temporary files and folders, with names that tell which of them are left from killed processes and can be removed."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

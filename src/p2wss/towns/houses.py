@@ -1,7 +1,5 @@
 """The buildings of a town block: closed blocks around a court, row houses, detached houses, halls."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

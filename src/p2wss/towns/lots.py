@@ -1,7 +1,5 @@
 """Helpers of the generator: sides of a block, places along a street, lots, and random numbers for a roof."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -4,8 +4,6 @@ Points stay int16 centimetres in one flat array, as in the shards of ``crops``; 
 of it, thinned and converted to metres on demand. When shards are read, the points go into a temporary file.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence

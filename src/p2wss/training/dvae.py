@@ -1,7 +1,5 @@
 """Stage dvae: train the discrete VAE that turns patches of points into tokens (paper, section 4.2)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ Everything random in step i follows from (seed, i) alone. A run that was stopped
 same steps as one that was not, bit for bit on a CPU.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

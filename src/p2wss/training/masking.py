@@ -1,7 +1,5 @@
 """The choice of tokens that the network has to restore during training."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

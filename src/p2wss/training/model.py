@@ -4,8 +4,6 @@ Heights are eave heights above the ground as estimated from the cloud (``ground_
 has no other ground; labels, which refer to the terrain of the simulation, are converted.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

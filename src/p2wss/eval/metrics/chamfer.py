@@ -1,7 +1,5 @@
 """Chamfer distance between two point sets, the CD of Table 2 (section 5.3 of the paper)."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

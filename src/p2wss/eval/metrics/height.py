@@ -1,7 +1,5 @@
 """Heights of points above the upper surface of a mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.mesh.surface import topmost

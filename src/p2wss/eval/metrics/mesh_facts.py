@@ -1,7 +1,5 @@
 """Facts of a mesh by itself: closed, manifold, planar faces."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

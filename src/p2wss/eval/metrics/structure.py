@@ -1,7 +1,5 @@
 """Whether the edges of a roof are the true ones: the lengths of false and of missing edges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Open ground within a footprint that stays, as the building would be in pieces without it: its faces are no roofs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

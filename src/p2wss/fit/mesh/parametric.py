@@ -1,7 +1,5 @@
 """Meshes of parametric buildings: prepares footprints and angles for the kernel, and calls it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Fits the paper's building to points: one eave height and an angle per edge."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The CityJSON output of ``p2wss reconstruct``: solids, blocks of LoD 1.2, metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any

@@ -1,7 +1,5 @@
 """The output files of ``p2wss reconstruct``, all from the same results, each written completely or not at all."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Within :meth:`Failures.met`, :func:`surviving` catches what a function raises, a
 with ``reconstruct.strict``, the error is raised.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ Where walls face each other, they cancel out; everything else keeps its points, 
 no sliver that the buildings do not have, and every face keeps its building and kind.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

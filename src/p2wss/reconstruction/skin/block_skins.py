@@ -3,8 +3,6 @@
 Skins that end on the terrain, and terrain without a surface below them, are together one closed surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

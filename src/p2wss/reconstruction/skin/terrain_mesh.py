@@ -1,7 +1,5 @@
 """Terrain under reconstructed buildings: a closed block of few triangles, and buildings that reach into it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The triangles of a skin's faces; where several sheets of surface meet in a point, each sheet gets its own vertex."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Convex edges of a skin: the wedges at which a simulator lets rays diffract."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ block, so neighbours share bit-identical walls. Points show the edges of roofs, 
 moved inwards by ``Outlines.overhang_m``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 Written by the stage scenes; read by buildings and scans.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
