@@ -7,7 +7,7 @@ import click
 import p2wss
 from p2wss.cli.common import city_files
 from p2wss.cli.parser import PATH, Command
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @click.command(cls=Command)

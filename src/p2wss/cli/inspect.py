@@ -8,7 +8,7 @@ import click
 from p2wss.cli.common import classes_option, config_option, crs_option
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @click.command(cls=Command)

@@ -11,9 +11,9 @@ import numpy as np
 import yaml
 
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of
 from p2wss.storage.las_files import bounds_of
+from p2wss.storage.messages import InputError, reading
 
 Facts = dict[str, Any]
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import click
 
 from p2wss.config import Config, Section, load
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Decorator = Callable[[Function], Function]

@@ -17,7 +17,7 @@ import numpy as np
 from p2wss.config import Dataset
 from p2wss.data.manifest import building_ranks
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
 
 # 80 / 10 / 10 percent (paper, section 5.1)

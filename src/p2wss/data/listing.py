@@ -9,7 +9,7 @@ from glob import glob
 from pathlib import Path
 
 from p2wss.data.tiling import Bounds, are_near
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
 RASTER = (".asc", ".tif", ".tiff", ".vrt")

@@ -13,7 +13,7 @@ from typing_extensions import TypedDict
 
 from p2wss.data.seeds import derive_seed
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 from p2wss.storage.schemas.crops import SIMULATED
 
 _Rank = Annotated[int, Field(ge=0, lt=2**64)]

@@ -32,8 +32,7 @@ from p2wss.mesh.topology import doubled_areas
 from p2wss.reconstruction.inputs import CloudInput, FootprintInput, as_footprints, read_cloud_of
 from p2wss.reconstruction.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 # points up to this distance from the footprint belong to the building
 BUFFER_M = 1.0

@@ -13,7 +13,7 @@ from p2wss.eval.cases import Case, Medians
 from p2wss.reconstruction.flat import constant, lod1
 from p2wss.reconstruction.network import Predictor, reconstruct_with_network
 from p2wss.reconstruction.product import FIT, NETWORK, reconstruct_buildings
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 
 # names of the results of the method "masked", the settings of Table 1 with the footprint hidden from the network: with

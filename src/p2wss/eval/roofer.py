@@ -25,7 +25,7 @@ from p2wss.eval.cases import Case
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.storage import files
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 from p2wss.storage.schemas.crops import REAL
 from p2wss.storage.temporary import temporary_folder
 

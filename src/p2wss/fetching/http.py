@@ -12,8 +12,7 @@ import requests
 import tenacity
 
 from p2wss.config import Geoplateforme
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.progress import Progress
 
 _BUSY = {408, 425, 429, 500, 502, 503, 504}

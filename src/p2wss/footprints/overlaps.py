@@ -10,7 +10,7 @@ import shapely
 
 from p2wss.data import reasons
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # column with the ids of the footprints that a footprint overlaps; None if there are none
 COLUMN = "overlapping_ids"

@@ -16,7 +16,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 
 def num_processes() -> int:

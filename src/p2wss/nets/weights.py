@@ -18,7 +18,7 @@ from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.weights_file import KIND, read_metadata
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 _Network = TypeVar("_Network", bound=Module)
 

@@ -35,7 +35,7 @@ from p2wss.reconstruction.running.processes import Shared
 from p2wss.reconstruction.running.spool import Lazy, Spool
 from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # column: whether a footprint is an outline of points to which p2wss, not the producer, gave class building
 OWN_OUTLINE = "p2wss_own_outline"

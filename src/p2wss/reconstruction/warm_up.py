@@ -28,7 +28,7 @@ from p2wss.reconstruction.running.processes import Shared
 from p2wss.skeleton import build
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"

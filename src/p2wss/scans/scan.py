@@ -28,7 +28,7 @@ from p2wss.scans.survey import PAPER_ALTITUDE_M, Survey, plan
 from p2wss.scans.terrain import TerrainGrid, local_grid
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # the reflectance of a roof or of walls has this beta distribution: a mean of 0.31 and a standard deviation of 0.12
 _REFLECTANCE_BETA = (4, 9)

@@ -12,7 +12,7 @@ from p2wss import skeleton
 from p2wss.config import Buildings
 from p2wss.data import polygon_arrays
 from p2wss.storage import files
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 
 def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:

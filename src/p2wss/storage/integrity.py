@@ -13,7 +13,7 @@ import mmap
 import os
 from pathlib import Path
 
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 PREFIX = "p2wss-sha256:"
 _MARKER = PREFIX.encode()

@@ -13,7 +13,7 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # name of a vertical CRS if only its unit is known
 UNKNOWN = "unknown height"

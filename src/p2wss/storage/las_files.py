@@ -14,7 +14,7 @@ import lazrs
 import numpy as np
 
 from p2wss.storage import integrity
-from p2wss.storage.errors import reading
+from p2wss.storage.messages import reading
 
 # what messages call such a file
 KIND = "a readable LAS, LAZ or COPC file, or truncated"

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from p2wss.storage import sources
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.sources import PACKAGE
 
 # modules that do not count: their values reach a stage through the parameters, or they only pass paths on

@@ -25,8 +25,7 @@ from p2wss.config import Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import distributed
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
 

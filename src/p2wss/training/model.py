@@ -23,7 +23,7 @@ from p2wss.nets.tokenizer import Tokenizer
 from p2wss.nets.transformer import Block
 from p2wss.nets.weights import load_dvae, load_model
 from p2wss.storage import files
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 from p2wss.training import augment, loop
 from p2wss.training.dataset import BatchSampler, BuildingDataset, describe, load_dataset, training_limits
 from p2wss.training.masking import mask_parameters, mask_patches

@@ -20,7 +20,7 @@ from p2wss.reconstruction.outputs.vegetation import Plant
 from p2wss.reconstruction.result import Result
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.las_crs import horizontal
-from p2wss.storage.log_lines import first_of
+from p2wss.storage.messages import first_of
 
 # the title names at most this many clouds
 _MAX_CLOUDS = 3

@@ -30,8 +30,8 @@ from p2wss.reconstruction.running.spool import Lazy
 from p2wss.reconstruction.skin import Skin, block_skins, terrain_mesh
 from p2wss.reconstruction.skin.solids import MAX_LOWERING_M
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 
 
 def write(

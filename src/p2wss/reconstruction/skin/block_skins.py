@@ -16,7 +16,7 @@ from p2wss.reconstruction.skin import Skin, skins, unjoined
 from p2wss.reconstruction.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruction.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # vertices nearer to each other become one
 _MERGED_M = 1e-4

@@ -8,8 +8,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from p2wss.storage.errors import reading
 from p2wss.storage.files import read_metadata, read_table, write_geoparquet
+from p2wss.storage.messages import reading
 from p2wss.storage.schemas.columns import IDENTITY, STATUS, field
 
 # besides these columns, the file has a `geometry` of clean 2D polygons (exterior CCW, courtyards CW)
