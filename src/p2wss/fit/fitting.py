@@ -11,10 +11,9 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
-from p2wss.fit.mesh.parametric import kernel_mesh
+from p2wss.fit.parametric import MIN_NUM_POINTS, fit_roof, kernel_mesh
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.points import ground_points, shaft_points, wall_hits
-from p2wss.fit.roof.fitter import MIN_NUM_POINTS, fit_roof
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Planes, Thresholds
 from p2wss.mesh import Mesh

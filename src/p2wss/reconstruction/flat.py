@@ -8,7 +8,7 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
-from p2wss.fit.mesh.parametric import build_meshes, kernel_angles
+from p2wss.fit.parametric import build_meshes, kernel_angles
 
 
 def with_fallback(

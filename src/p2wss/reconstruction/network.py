@@ -9,8 +9,13 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
-from p2wss.fit.mesh.parametric import build_meshes, kernel_angles, simplify_exterior, transfer_angles
-from p2wss.fit.roof.fitter import MIN_NUM_POINTS
+from p2wss.fit.parametric import (
+    MIN_NUM_POINTS,
+    build_meshes,
+    kernel_angles,
+    simplify_exterior,
+    transfer_angles,
+)
 from p2wss.fit.settings import THRESHOLDS
 from p2wss.nets.prediction import Prediction
 from p2wss.nets.supposed import supposed_roof

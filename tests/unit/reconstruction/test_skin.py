@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kernel_unions import union
 from skin_solids import Solid, assert_closed, gable, solid, united, volume
 
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.parametric import FittedRoof
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import Skin, skins
 from p2wss.reconstruction.skin.block_skins import wedges
