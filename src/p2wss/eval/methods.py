@@ -10,9 +10,15 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Medians
-from p2wss.reconstruction.flat import constant, lod1
-from p2wss.reconstruction.network import Predictor, reconstruct_with_network
-from p2wss.reconstruction.product import FIT, NETWORK, reconstruct_buildings
+from p2wss.reconstruction.product import (
+    FIT,
+    NETWORK,
+    Predictor,
+    constant,
+    lod1,
+    reconstruct_buildings,
+    reconstruct_with_network,
+)
 from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 

@@ -39,7 +39,7 @@ from p2wss.storage.progress import Progress
 from p2wss.storage.provenance import fingerprint
 
 if TYPE_CHECKING:
-    from p2wss.reconstruction.network import Predictor
+    from p2wss.reconstruction.product import Predictor
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from p2wss.footprints.cleaning import clean_footprints
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
 from p2wss.mesh.surface import topmost
-from p2wss.reconstruction.network import with_supposed_roofs
 from p2wss.reconstruction.outputs import exports
 from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.product import with_supposed_roofs
 from p2wss.reconstruction.registration.shifts import solve_shift
 from p2wss.reconstruction.running.processes import Shared
 from p2wss.skeleton import build
