@@ -21,8 +21,7 @@ from p2wss.config import Config
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import BUILDING_CLASS, class_set
-from p2wss.eval.metrics.chamfer import chamfer_distance_m
-from p2wss.eval.metrics.mesh_facts import mesh_facts
+from p2wss.eval.metrics import chamfer_distance_m, mesh_facts
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.footprints.schemas import GENERIC
 from p2wss.formats import cityjson_read
