@@ -90,7 +90,6 @@ def fit_building(task: _Task) -> Reconstruction:
     if (trace := TRACE.get()) is not None:
         trace.append((task.building.building_id, solid.planes))
     mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
-    mesh = with_floors(mesh, prepared.point_m, prepared.num_open)
     return _reconstruction(task, prepared, solid, mesh)
 
 
@@ -190,7 +189,7 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
         prepared.rings,
         max(solid.eave_height_m, task.config.min_eave_height_m),
         solid.angle_deg,
-        mesh,
+        with_floors(mesh, prepared.point_m, prepared.num_open),
         solid.num_parts,
         is_simplified=solid.planes is not None and solid.planes.is_simplified,
         num_lines_used=0 if solid.planes is None else solid.planes.num_lines_used,
