@@ -34,7 +34,7 @@ from p2wss.nets.supposed import KIND
 from p2wss.nets.threads import set_num_threads
 from p2wss.nets.weights import last_validation, write_weights
 from p2wss.storage import files
-from p2wss.storage.log_lines import start
+from p2wss.storage.messages import start
 from p2wss.storage.provenance import fingerprint
 from p2wss.training import loop
 from p2wss.training.loop import training_lock

@@ -28,9 +28,12 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.fit import fitting
-from p2wss.reconstruction.flat import with_fallback
-from p2wss.reconstruction.network import reconstruct_with_network, with_supposed_roofs
-from p2wss.reconstruction.product import reconstruct_buildings
+from p2wss.reconstruction.product import (
+    reconstruct_buildings,
+    reconstruct_with_network,
+    with_fallback,
+    with_supposed_roofs,
+)
 
 _NUM_DRAWS = 3
 # points per square metre of the footprint; at 20, nearly all houses keep all their points, 14 per square metre (median)

@@ -25,7 +25,7 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
 from p2wss.fit.settings import Detection, Planes, Thresholds
-from p2wss.reconstruction.flat import with_fallback
+from p2wss.reconstruction.product import with_fallback
 
 _NUM_COPIES, _JITTER_M = 4, 0.0025
 _DEFAULT = Config().reconstruct

@@ -18,8 +18,7 @@ from p2wss.data.manifest import read_manifest
 from p2wss.eval import cases, measure, methods
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
-from p2wss.reconstruction.network import reconstruct_with_network
-from p2wss.reconstruction.product import FIT, NETWORK
+from p2wss.reconstruction.product import FIT, NETWORK, reconstruct_with_network
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.schemas.crops import SIMULATED
 

@@ -33,9 +33,7 @@ from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.footprints import cleaning
 from p2wss.reconstruction.area import footprint_settings, window
-from p2wss.reconstruction.flat import with_fallback
-from p2wss.reconstruction.network import reconstruct_with_network
-from p2wss.reconstruction.product import NETWORK
+from p2wss.reconstruction.product import NETWORK, reconstruct_with_network, with_fallback
 from p2wss.reconstruction.result import Result
 
 _CROPS = ("77050_627755", "77050_627760", "77055_627755")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from p2wss.eval.metrics.structure import NEAR_M, SPACING_M, RoofEdges, far_samples, roof_edges
+from p2wss.eval.metrics import NEAR_M, SPACING_M, RoofEdges, far_samples, roof_edges
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
 from p2wss.mesh.topology import NEXT, unit_normals

@@ -11,7 +11,7 @@ from figures import Figures, cpu_seconds
 from p2wss.data.building import Reconstruction
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import Skin, skins
-from p2wss.reconstruction.skin.wedges import wedges
+from p2wss.reconstruction.skin.block_skins import wedges
 
 # radius of the circle on which the surroundings of a wedge are sampled, and number of directions
 RADIUS_M, DIRECTIONS = 2e-3, 72

@@ -41,8 +41,8 @@ from p2wss.config import as_config  # noqa: E402
 from p2wss.reconstruction.area import read_features  # noqa: E402
 from p2wss.reconstruction.inputs import check_inputs  # noqa: E402
 from p2wss.reconstruction.look import look  # noqa: E402
-from p2wss.storage.errors import InputError  # noqa: E402
 from p2wss.storage.features import Features  # noqa: E402
+from p2wss.storage.messages import InputError  # noqa: E402
 
 PLACE, HEIGHT_M = "EPSG:26910", {"m": 1.0, "ft": houses.FOOT_M, "us-ft": houses.SURVEY_FOOT_M}
 VERTICAL = {"m": "EPSG:5703", "ft": "EPSG:8228", "us-ft": "EPSG:6360"}

@@ -9,7 +9,7 @@ Needs no data.
 
 Draws the towns of the seeds (``benchmarks/towns.py``), reconstructs them by ``p2wss.reconstruct`` without
 the network, and compares the edges with the true ones, by shape of the house and by kind of edge. The definitions are
-in ``p2wss.eval.metrics.structure``: false and missing edges are farther than 0.5 m from any edge of the other roof; an
+in ``p2wss.eval.metrics``: false and missing edges are farther than 0.5 m from any edge of the other roof; an
 exact roof has less than 2 % of either. No setting was chosen on the default seeds.
 """
 

@@ -29,7 +29,7 @@ from p2wss.data.building import Building
 from p2wss.fit import fitting
 from p2wss.fit.settings import PlanePrices, Planes, Thresholds
 from p2wss.mesh import Mesh
-from p2wss.reconstruction.flat import with_fallback
+from p2wss.reconstruction.product import with_fallback
 from p2wss.towns import FOOTPRINTS
 
 SEEDS = (7, 8)

@@ -16,7 +16,7 @@ import shapely
 
 from drawn_towns.wings import body, draw_dormers, draw_groups, parapets
 from p2wss.towns.buildings import DrawnBuilding, Wing
-from p2wss.towns.lots import block_side, to_world
+from p2wss.towns.houses import block_side, to_world
 from p2wss.towns.site import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS, ground_z_m
 
 # half swings of the scanner: lines on the ground are 0.9 m apart

@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from p2wss.towns.buildings import DrawnBuilding, Wing
-from p2wss.towns.lots import cut_into_lots, draw_eave_m, rectangle, to_world
+from p2wss.towns.houses import cut_into_lots, draw_eave_m, rectangle, to_world
 from p2wss.towns.site import (
     GROUND_CLASS,
     LIDAR_RADIUS_M,

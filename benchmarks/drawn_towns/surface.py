@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from p2wss.towns.buildings import DrawnBuilding, Wing
-from p2wss.towns.lots import block_side, rectangle, to_world
+from p2wss.towns.houses import block_side, rectangle, to_world
 from p2wss.towns.site import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, in_lidar_tile
 
 CELL_M = 0.1

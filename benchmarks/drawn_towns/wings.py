@@ -17,7 +17,7 @@ import shapely
 from manifold3d import CrossSection, Manifold, OpType
 
 from p2wss.towns.buildings import DrawnBuilding, Wing
-from p2wss.towns.lots import draw_eave_m, rectangle, to_world
+from p2wss.towns.houses import draw_eave_m, rectangle, to_world
 from p2wss.towns.site import LIDAR_RADIUS_M, LIDAR_X_MIN, LIDAR_Y_MAX
 
 SHAPES = ("plain", "L", "T", "U", "cross", "oblique", "manor", "flat", "sheds", "hall", "row")

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from p2wss.storage.arguments import public
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -53,7 +53,7 @@ from p2wss.nets import weights_file
 from p2wss.nets.weights import read_weights
 from p2wss.scans.scan import build_surface, local_buildings
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.measures import MEASURES
 from p2wss.storage.schemas.scene import read_scene

@@ -17,7 +17,7 @@ import pytest
 from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.eval import report
 from p2wss.formats import cityjson_read
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 ROOT = Path(__file__).parents[2]
 

@@ -36,7 +36,7 @@ from p2wss.fetching import bdtopo
 from p2wss.fetching.cloud import write_cloud
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES

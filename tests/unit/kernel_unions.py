@@ -8,8 +8,7 @@ import manifold3d
 import numpy as np
 from drawn_towns.planes import mesh_of
 
-from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.parametric import FittedRoof, kernel_mesh
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
 

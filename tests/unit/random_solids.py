@@ -13,7 +13,7 @@ from p2wss.config import Scenes
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.directions import directions
-from p2wss.fit.mesh.parametric import kernel_angles
+from p2wss.fit.parametric import kernel_angles
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below

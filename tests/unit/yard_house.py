@@ -7,8 +7,8 @@ from kernel_unions import union
 
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction
-from p2wss.fit.mesh.open_ground import with_floors
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.fitting import with_floors
+from p2wss.fit.parametric import FittedRoof
 
 HOUSE_M2, YARD_M2, YARD_M, EAVE_M, SLOPE_DEG = 64.0, 48.0, 1.0, 5.0, 40.0
 FOOTPRINT = np.array([[0, 0], [14, 0], [14, 8], [0, 8.0]])

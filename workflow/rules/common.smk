@@ -11,7 +11,7 @@ from snakemake.exceptions import WorkflowError
 
 from p2wss import config as configs
 from p2wss.data.tiling import TILE_PATTERN
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.config import roofer_command
 from p2wss.storage.provenance import fingerprint
 

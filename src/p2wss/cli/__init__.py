@@ -4,8 +4,6 @@ Commands are imported when they run, and import heavy modules when they run, so 
 once. Whatever decides a result belongs in the package of the stage.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import logging
@@ -20,9 +18,9 @@ import click
 from click.shell_completion import shell_complete
 
 from p2wss import __version__
-from p2wss.storage import log_lines
+from p2wss.storage import messages
 from p2wss.storage.arguments import missing_extra
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # module and command have the same name
 COMMANDS = {
@@ -111,7 +109,7 @@ def main(arguments: list[str] | None = None) -> int:
     # pydantic would look for plugins in all packages that are installed
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     words = sys.argv[1:] if arguments is None else arguments
-    log_lines.start()
+    messages.start()
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # and so does GDAL

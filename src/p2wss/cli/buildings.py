@@ -1,7 +1,5 @@
 """``p2wss buildings``: closed meshes of the buildings of one scene."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``p2wss check``: whether the solids of CityJSON files are valid."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -9,7 +7,7 @@ import click
 import p2wss
 from p2wss.cli.common import city_files
 from p2wss.cli.parser import PATH, Command
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @click.command(cls=Command)

@@ -18,8 +18,7 @@ from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Config
 from p2wss.data import reasons
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading, writing
-from p2wss.storage.log_lines import first_of, log
+from p2wss.storage.messages import InputError, first_of, log, reading, writing
 
 if TYPE_CHECKING:
     import numpy as np

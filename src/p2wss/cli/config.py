@@ -1,7 +1,5 @@
 """``p2wss config``: every setting."""
 
-from __future__ import annotations
-
 import click
 
 from p2wss.cli.parser import Command, option

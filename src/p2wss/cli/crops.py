@@ -1,7 +1,5 @@
 """``p2wss crops``: the points of each building."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import compress
 from pathlib import Path
@@ -13,7 +11,7 @@ from p2wss.cli.common import bounds_of_tile, config_option, log, log_status_coun
 from p2wss.cli.parser import Group, file_option, option
 from p2wss.config import TILE_LISTS, Config, Reconstruct, section_json
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.provenance import fingerprint
 
 

@@ -1,7 +1,5 @@
 """``p2wss demo``: a first run that needs no data."""
 
-from __future__ import annotations
-
 import time
 from importlib import resources
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``p2wss doctor``: what this computer has, and what each missing piece costs."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """``p2wss dvae``: train the discrete VAE that tokenises point patches."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``p2wss eval``: reconstruct the evaluation buildings, measure the errors, and write the report."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

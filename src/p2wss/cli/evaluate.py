@@ -1,7 +1,5 @@
 """``p2wss evaluate``: the buildings of a CityJSON file against point clouds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

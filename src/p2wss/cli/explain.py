@@ -1,7 +1,5 @@
 """``p2wss explain``: why the roof of a building is as it is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -10,7 +8,7 @@ from p2wss.cli.common import classes_option, config_option, crs_option, inputs_a
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @click.command(cls=Command)

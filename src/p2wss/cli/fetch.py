@@ -1,7 +1,5 @@
 """``p2wss fetch``: footprints, terrain and LiDAR of a region."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,7 @@ from p2wss.cli.common import bounds_of_tile, config_option, log, tile_option
 from p2wss.cli.parser import Group, Names, file_option, option
 from p2wss.config import ALL, OF_CLOUDS, TILE_LISTS, Config, load, section_json
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.provenance import fingerprint
 
 _downloads_option = file_option(

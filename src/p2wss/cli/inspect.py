@@ -1,7 +1,5 @@
 """``p2wss inspect``: the contents of files, and what a run would make of them together."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import click
 from p2wss.cli.common import classes_option, config_option, crs_option
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @click.command(cls=Command)

@@ -1,7 +1,5 @@
 """Describe the contents of files that p2wss writes, and of files of IGN that it reads."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter
@@ -13,9 +11,9 @@ import numpy as np
 import yaml
 
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of
 from p2wss.storage.las_files import bounds_of
+from p2wss.storage.messages import InputError, reading
 
 Facts = dict[str, Any]
 

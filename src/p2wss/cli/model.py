@@ -1,7 +1,5 @@
 """``p2wss model``: train Point2WSS."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """How commands read their arguments: by click, with lists of files and with settings of the config as options."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -9,7 +7,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import click
 
 from p2wss.config import Config, Section, load
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Decorator = Callable[[Function], Function]

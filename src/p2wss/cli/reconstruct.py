@@ -1,7 +1,5 @@
 """``p2wss reconstruct``: reconstruct buildings from LiDAR and footprints."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``p2wss scans``: simulate the LiDAR survey of one scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -10,7 +8,7 @@ from p2wss.cli.common import config_option, log, threads_option
 from p2wss.cli.parser import Command, file_option
 from p2wss.config import Config, section_json
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.provenance import fingerprint
 
 

@@ -1,7 +1,5 @@
 """``p2wss scene``: from a place on the map to a scene for radar and radio simulation."""
 
-from __future__ import annotations
-
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +9,7 @@ import click
 from p2wss.cli.common import check_out, config_option, log_options, threads_option, write_run
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import ALL, IGN, Config, load
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 OUTPUTS = ["cityjson", "sionna", "glb", "report"]
 

@@ -1,7 +1,5 @@
 """``p2wss scenes``: cut tiles with clean footprints, heights and roof angles."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 
@@ -21,7 +19,7 @@ from p2wss.config import OF_CLOUDS, TILE_LISTS, Config, member_places, place_con
 from p2wss.data import reasons
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.provenance import fingerprint
 
 

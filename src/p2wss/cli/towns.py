@@ -1,7 +1,5 @@
 """``p2wss towns``: a synthetic town in IGN's file formats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

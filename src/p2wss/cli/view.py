@@ -1,7 +1,5 @@
 """``p2wss view``: buildings of any CityJSON file on a page."""
 
-from __future__ import annotations
-
 import webbrowser
 from pathlib import Path
 
@@ -11,7 +9,7 @@ from p2wss.cli.common import CITY, city_files, config_option, crs_option, log, s
 from p2wss.cli.parser import PATH, Command, option, setting
 from p2wss.config import Config
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @click.command(cls=Command)

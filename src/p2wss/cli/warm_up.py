@@ -1,7 +1,5 @@
 """``p2wss warm-up``: compile ahead of the first use."""
 
-from __future__ import annotations
-
 import time
 
 import click

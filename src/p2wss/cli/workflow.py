@@ -1,7 +1,5 @@
 """``p2wss workflow``: a project of the Snakemake workflow, which comes with the package."""
 
-from __future__ import annotations
-
 import shutil
 import sysconfig
 from pathlib import Path
@@ -11,7 +9,7 @@ import click
 import p2wss
 from p2wss.cli.common import log
 from p2wss.cli.parser import PATH, Command, Group
-from p2wss.storage.errors import InputError, writing
+from p2wss.storage.messages import InputError, writing
 
 PARTS = ("Snakefile", "workflow", "config", "profiles", "envs", "tests/mini")
 

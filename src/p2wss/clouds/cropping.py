@@ -5,8 +5,6 @@ to several polygons. Distances are computed as in GEOS, so that the result equal
 included.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

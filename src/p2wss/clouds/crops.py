@@ -1,7 +1,5 @@
 """Crop the points of each building from a cloud, and estimate the ground at it, from which heights are measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -16,10 +16,9 @@ import pyproj
 from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds, are_near, bounds_of_points
-from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import crs_of, stated_crs
 from p2wss.storage.las_files import KIND, STEPS_PER_M, bounds_of, marks, open_cloud, steps
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)

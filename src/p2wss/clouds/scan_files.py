@@ -7,8 +7,6 @@ LAS 1.4, point format 6, coordinates in millimetres. Classes: 2 ground, 5 vegeta
   ``edge = (face_id >> 2) - 1`` the footprint edge from which the face grows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Base class and types of all sections."""
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Any, Self
 

@@ -1,8 +1,6 @@
 """Section crops: the points of each building and the splits. Section dataset: several regions, and several draws of
 each, as one data set."""
 
-from __future__ import annotations
-
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator

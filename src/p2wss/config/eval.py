@@ -1,7 +1,5 @@
 """Section eval: metrics, tables and the report."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

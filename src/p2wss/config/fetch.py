@@ -1,7 +1,5 @@
 """Section fetch: the sources of footprints, terrain and LiDAR."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Generate ``config/default.yaml`` and ``config/schema.json``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Read and validate configs, and pass sections on as JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Collection
@@ -13,7 +11,7 @@ from pydantic import ValidationError
 from p2wss.config.base import merge
 from p2wss.config.eval import NOT_OF_MEASURES, NOT_OF_ROOFER
 from p2wss.config.sections import Config
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 
 def load(*documents: str | Path | dict[str, Any]) -> Config:

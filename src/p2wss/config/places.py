@@ -5,8 +5,6 @@ one draw, ``paris/1/`` and ``paris/2/`` for the draws of a member with several d
 as footprints and real LiDAR, are at the place of the member: ``paris/``.
 """
 
-from __future__ import annotations
-
 from zlib import crc32
 
 from p2wss.config.base import merge

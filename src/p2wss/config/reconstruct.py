@@ -1,7 +1,5 @@
 """Section reconstruct: reconstruction from the user's LiDAR."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

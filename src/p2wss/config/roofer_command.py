@@ -4,8 +4,6 @@ Imports no slow modules, because the Snakefile uses it at every start: a new ins
 reruns the baseline.
 """
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess
@@ -13,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from p2wss.config.eval import Eval
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # file beside recorded outputs with hashes of the points that they were made from (p2wss.eval.roofer.cloud_sketch)
 CLOUDS = "clouds.json"

@@ -1,7 +1,5 @@
 """Section scans: the simulated LiDAR survey, its errors and the clutter in it."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator

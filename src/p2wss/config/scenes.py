@@ -1,8 +1,6 @@
 """Section scenes: tiles with clean footprints, heights and roof angles. Section buildings: their meshes from the
 weighted straight skeleton."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """The whole config: all sections."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any, Self, TypeVar
 

@@ -1,8 +1,6 @@
 """Sections dvae and model, the trainings of both networks, and what they share. Section ablation: variants of the model
 to train and compare."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator

@@ -6,8 +6,6 @@ the shards and their other buildings. Of each split of the simulated buildings, 
 clouds, the lowest ranks are for the evaluation and the next ones for the training of the dvae: no cloud is in both.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -19,7 +17,7 @@ import numpy as np
 from p2wss.config import Dataset
 from p2wss.data.manifest import building_ranks
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
 
 # 80 / 10 / 10 percent (paper, section 5.1)

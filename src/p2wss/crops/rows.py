@@ -1,8 +1,6 @@
 """Crop the points of each building from real LiDAR, without labels, or from a simulated scan, with labels and a
 split by location, in square blocks."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A building before and after its reconstruction, as all stages represent it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

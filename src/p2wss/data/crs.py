@@ -12,7 +12,6 @@ import pyproj
 import shapely
 
 from p2wss.data.tiling import Bounds
-from p2wss.storage.errors import InputError
 from p2wss.storage.las_crs import (
     UNKNOWN,
     as_of_epsg,
@@ -28,7 +27,7 @@ from p2wss.storage.las_crs import (
     vertical_part,
     with_heights,
 )
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 if TYPE_CHECKING:
     from p2wss.data.terrain import Terrain

@@ -1,7 +1,5 @@
 """Classes of LiDAR points (LAS 1.4 R15, table 17), and the classes of producers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

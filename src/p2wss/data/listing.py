@@ -4,14 +4,12 @@ The rules use this too, so that a replaced file reruns everything that depends o
 Snakemake, so it uses only the standard library and reads at most the header of a file.
 """
 
-from __future__ import annotations
-
 import struct
 from glob import glob
 from pathlib import Path
 
 from p2wss.data.tiling import Bounds, are_near
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
 RASTER = (".asc", ".tif", ".tiff", ".vrt")

@@ -1,7 +1,5 @@
 """The manifest of the crops: JSON that lists the shards (written by the stage crops)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +13,7 @@ from typing_extensions import TypedDict
 
 from p2wss.data.seeds import derive_seed
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 from p2wss.storage.schemas.crops import SIMULATED
 
 _Rank = Annotated[int, Field(ge=0, lt=2**64)]

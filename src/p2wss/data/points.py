@@ -3,8 +3,6 @@
 Crops of simulated scans do not need it, because there each point has the label of its face.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -4,8 +4,6 @@ These are the values of the columns ``status`` and ``reason`` of all files, and 
 buildings. The reasons of the kernel are in :class:`p2wss.skeleton.Status`.
 """
 
-from __future__ import annotations
-
 OK = "ok"
 
 # footprints and scenes

@@ -1,7 +1,5 @@
 """Seeds from names: each random draw depends only on a seed and names such as the stage, tile and building."""
 
-from __future__ import annotations
-
 from hashlib import blake2b
 
 import numpy as np

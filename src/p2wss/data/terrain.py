@@ -15,9 +15,8 @@ import scipy
 
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import placed, unit_m, vertical_part
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading
 
 if TYPE_CHECKING:
     import rasterio

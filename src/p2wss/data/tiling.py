@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 if TYPE_CHECKING:
     import numpy as np

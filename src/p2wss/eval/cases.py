@@ -1,7 +1,5 @@
 """The buildings to evaluate, from the shards of the stage crops, and the tables of their reconstructions."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass

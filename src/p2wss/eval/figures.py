@@ -1,7 +1,5 @@
 """Figures of the report: training curves and distributions of errors; the colours of methods and faces."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping
 from io import BytesIO

@@ -3,8 +3,6 @@
 The footprints decide which points belong to which building, so that files of several programs can be compared.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,8 +21,7 @@ from p2wss.config import Config
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import MetricCrs
 from p2wss.data.las_classes import BUILDING_CLASS, class_set
-from p2wss.eval.metrics.chamfer import chamfer_distance_m
-from p2wss.eval.metrics.mesh_facts import mesh_facts
+from p2wss.eval.metrics import chamfer_distance_m, mesh_facts
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.footprints.schemas import GENERIC
 from p2wss.formats import cityjson_read
@@ -34,8 +31,7 @@ from p2wss.mesh.topology import doubled_areas
 from p2wss.reconstruction.inputs import CloudInput, FootprintInput, as_footprints, read_cloud_of
 from p2wss.reconstruction.scene import Scene, bounds_of
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 # points up to this distance from the footprint belong to the building
 BUFFER_M = 1.0

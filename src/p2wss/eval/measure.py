@@ -1,8 +1,6 @@
 """Chamfer distance, number of triangles and errors of every reconstruction (paper, section 5.3), and errors of its
 height, angles and footprint against the labels (Table 1)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -15,10 +13,13 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case, Key
 from p2wss.eval.methods import MASKED
-from p2wss.eval.metrics.chamfer import chamfer_distance_m
-from p2wss.eval.metrics.height import height_rmse_m
-from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
-from p2wss.eval.metrics.structure import false_and_missing_share
+from p2wss.eval.metrics import (
+    chamfer_distance_m,
+    false_and_missing_share,
+    height_rmse_m,
+    mesh_facts,
+    out_of_plane_m,
+)
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh, sample_surface
 from p2wss.skeleton.queries import roof_points

@@ -1,7 +1,5 @@
 """Reconstructions of the buildings of the evaluation by each of its methods."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
@@ -12,10 +10,16 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Medians
-from p2wss.reconstruction.flat import constant, lod1
-from p2wss.reconstruction.network import Predictor, reconstruct_with_network
-from p2wss.reconstruction.product import FIT, NETWORK, reconstruct_buildings
-from p2wss.storage.errors import InputError
+from p2wss.reconstruction.product import (
+    FIT,
+    NETWORK,
+    Predictor,
+    constant,
+    lod1,
+    reconstruct_buildings,
+    reconstruct_with_network,
+)
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 
 # names of the results of the method "masked", the settings of Table 1 with the footprint hidden from the network: with

@@ -1,7 +1,5 @@
 """``report.html``, a single file that needs no other file and no internet, and its tables as CSV and LaTeX."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -23,7 +21,7 @@ from p2wss.eval.cases import Case, Key, cases_of, read_reconstructions
 from p2wss.eval.viewer import View, choices, viewer
 from p2wss.formats import viewer as page_parts
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import reading
+from p2wss.storage.messages import reading
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
 

@@ -4,8 +4,6 @@ No part of it belongs to this package. It reads LAZ and GeoPackage and writes Ci
 cannot be run, recorded CityJSON of an earlier run may replace it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shlex
 import subprocess
@@ -27,7 +25,7 @@ from p2wss.eval.cases import Case
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.storage import files
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 from p2wss.storage.schemas.crops import REAL
 from p2wss.storage.temporary import temporary_folder
 

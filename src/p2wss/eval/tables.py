@@ -1,7 +1,5 @@
 """The tables of the report: Tables 1 and 2 with the rows and figures of the paper, and tables that the paper lacks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The 3D view of ``report.html``: a selection of buildings with points and meshes (:mod:`p2wss.formats.viewer`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

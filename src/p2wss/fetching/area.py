@@ -1,7 +1,5 @@
 """Fetch footprints, terrain and LiDAR of a place into a folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +13,7 @@ from p2wss.fetching.bdtopo import write_footprints
 from p2wss.fetching.cloud import write_cloud
 from p2wss.fetching.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 
 class Fetched(NamedTuple):

@@ -1,7 +1,5 @@
 """The buildings of BD TOPO (layer ``batiment``) or of another source, with the columns that we use."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from io import BytesIO
@@ -18,8 +16,8 @@ import shapely
 from p2wss.data.crs import check_crs
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 
 # as p2wss.formats.materials knows them
 _MATERIALS = {

@@ -1,7 +1,5 @@
 """Write one LAZ file per tile from the files that hold its points, and check delivered clouds."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections import Counter
@@ -18,7 +16,7 @@ from p2wss.data.tiling import Bounds, are_near, bounds_of_points, grown
 from p2wss.storage import files, integrity
 from p2wss.storage.las_crs import crs_of
 from p2wss.storage.las_files import bounds_of, marks, open_cloud, steps
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 _CHUNK_POINTS = 2_000_000
 _LAST_OLD_FORMAT = 5  # of LAS 1.3

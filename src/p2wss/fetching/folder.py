@@ -1,7 +1,5 @@
 """Source ``folder``: files on disk, such as BD TOPO, RGE ALTI and LiDAR HD as IGN delivers them."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -27,9 +25,8 @@ from p2wss.data.terrain import Terrain, check_north_up, height_scale, without_im
 from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetching.cloud import extent_of, read_header
 from p2wss.footprints.vector_files import decoded, layer_info, layers_of
-from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_crs import horizontal, same_crs
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading
 
 # rasters have the same grid if their cells differ by less, in cells
 _SAME_CELL = 1e-3

@@ -4,8 +4,6 @@ The services and their limits are documented at https://cartes.gouv.fr. All name
 settings, because IGN changes them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -27,8 +25,7 @@ from p2wss.data.tiling import Bounds, bounds_text
 from p2wss.fetching.cloud import append_checksum, check_cloud
 from p2wss.fetching.http import Client, NotFoundError, quote
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading
 
 _ATTEMPTS_AT_EMPTY_PAGE = 3
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

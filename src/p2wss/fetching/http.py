@@ -1,7 +1,5 @@
 """HTTP requests that respect the service's limits, retry transient failures and detect incomplete responses."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable, Collection, Iterator
@@ -14,8 +12,7 @@ import requests
 import tenacity
 
 from p2wss.config import Geoplateforme
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.progress import Progress
 
 _BUSY = {408, 425, 429, 500, 502, 503, 504}

@@ -1,7 +1,5 @@
 """Estimate the downloads of a region before the first request, download them, and create a region's file."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Sequence

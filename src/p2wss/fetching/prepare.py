@@ -28,8 +28,7 @@ from p2wss.fetching.cloud import (
     write_cloud,
 )
 from p2wss.storage import files
-from p2wss.storage.errors import InputError, writing
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, writing
 from p2wss.storage.temporary import temporary_folder
 
 HOW_TO_INSTALL_PDAL = (

@@ -1,7 +1,5 @@
 """The sources of data. Both kinds offer the same three methods (:class:`Source`)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Protocol
 
@@ -13,7 +11,7 @@ from p2wss.data.crs import bounds_in_crs, parsed_crs
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, bounds_text
 from p2wss.fetching.bdtopo import normalise
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 class Source(Protocol):

@@ -1,7 +1,5 @@
 """Directions in a plan. Directions that differ by a right angle are the same."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,10 +1,8 @@
 """Buildings fitted to their points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -13,21 +11,23 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
-from p2wss.fit.mesh.open_ground import with_floors
-from p2wss.fit.mesh.parametric import kernel_mesh
+from p2wss.fit.parametric import MIN_NUM_POINTS, fit_roof, kernel_mesh
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.points import ground_points, shaft_points, wall_hits
-from p2wss.fit.roof.fitter import MIN_NUM_POINTS, fit_roof
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Planes, Thresholds
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces, without_straight_vertices
+from p2wss.mesh.surface import topmost
+from p2wss.skeleton.types import FaceKind
 
 METHOD = "fit"
 # if set, each fit appends the id of the building and its planes, or None: for those who ask why a roof is as it is
 TRACE: ContextVar[list[tuple[str, PlanesFit | None]] | None] = ContextVar("trace", default=None)
 # points of class ground, or low ones in a gap of the roof, this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
+# a level face higher above the ground than this is a roof, whatever points are over it
+_MAX_FLOOR_M = 2.0
 
 
 def fit(
@@ -90,7 +90,6 @@ def fit_building(task: _Task) -> Reconstruction:
     if (trace := TRACE.get()) is not None:
         trace.append((task.building.building_id, solid.planes))
     mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, solid.mesh)
-    mesh = with_floors(mesh, prepared.point_m, prepared.num_open)
     return _reconstruction(task, prepared, solid, mesh)
 
 
@@ -190,8 +189,29 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
         prepared.rings,
         max(solid.eave_height_m, task.config.min_eave_height_m),
         solid.angle_deg,
-        mesh,
+        with_floors(mesh, prepared.point_m, prepared.num_open),
         solid.num_parts,
         is_simplified=solid.planes is not None and solid.planes.is_simplified,
         num_lines_used=0 if solid.planes is None else solid.planes.num_lines_used,
     )
+
+
+def with_floors(mesh: Mesh, point_m: np.ndarray, num_open: int) -> Mesh:
+    """The mesh with the kind ``FLOOR`` for open ground within the footprint, which stays where the building would be in
+    pieces without it. At least one face remains a roof.
+
+    point_m: (m, 3), the points to which the roof is fitted; the last ``num_open`` are of open ground. A face
+    is open ground if it is level, at most 2 m above the ground, and most of the points over it are of open ground.
+    """
+    if not num_open:
+        return mesh
+    kind = mesh.kind
+    is_low = (kind == FaceKind.FLAT) & (mesh.corner_m[:, :, 2].max(axis=1) <= _MAX_FLOOR_M)
+    # the label of the face over each point plus one, 0 for none
+    over = np.append(mesh.label[is_low], -1)[topmost(mesh.corner_m[is_low], point_m)[0]] + 1
+    size = mesh.label.max() + 2
+    num, num_ground = (np.bincount(each, minlength=size) for each in (over, over[-num_open:]))
+    is_floor = is_low & (2 * num_ground > num)[mesh.label + 1]
+    is_roof = ((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)) & ~is_floor
+    kind = np.where(is_floor, np.uint8(FaceKind.FLOOR), kind)
+    return replace(mesh, kind=kind) if is_roof.any() else mesh

@@ -1,7 +1,5 @@
 """The points that a roof is fitted to."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

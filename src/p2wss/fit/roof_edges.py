@@ -1,7 +1,5 @@
 """Where roofs end beside the edges of a footprint, and walls that move inwards where open ground lies within it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

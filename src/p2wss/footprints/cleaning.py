@@ -21,9 +21,9 @@ from p2wss.footprints.limits import repaired
 from p2wss.footprints.overlaps import COLUMN, tell, without_overlaps
 from p2wss.footprints.schemas import building_ids, by_name, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import NO_POLYGONS, file_of, no_geometry, read_attributes, read_vector
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal, placed
+from p2wss.storage.messages import InputError
 
 if TYPE_CHECKING:
     import geopandas as gpd

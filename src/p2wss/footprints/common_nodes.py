@@ -1,7 +1,5 @@
 """Join the rings of neighbouring footprints in common nodes, so that both sides of a wall have the same vertices."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass
 

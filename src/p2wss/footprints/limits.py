@@ -4,8 +4,6 @@ A ring with many vertices is simplified before any step whose cost grows with th
 rings stay unchanged.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tags of OpenStreetMap. GDAL writes the rarer tags as text into one column of its layers of areas."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

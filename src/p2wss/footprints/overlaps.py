@@ -1,7 +1,5 @@
 """One building once: footprints that are there twice, lie in others, or are the outline of parts."""
 
-from __future__ import annotations
-
 import logging
 import shlex
 from collections import Counter, defaultdict
@@ -12,7 +10,7 @@ import shapely
 
 from p2wss.data import reasons
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # column with the ids of the footprints that a footprint overlaps; None if there are none
 COLUMN = "overlapping_ids"

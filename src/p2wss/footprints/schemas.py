@@ -1,7 +1,5 @@
 """Columns of common footprint sources: ids, heights, numbers of storeys."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,9 +10,8 @@ import numpy as np
 
 from p2wss.footprints.osm_tags import with_others
 from p2wss.footprints.vector_files import is_missing
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 METRES_PER_FLOOR = 3.0
 _MAX_HEIGHT_M = 1000.0

@@ -1,7 +1,5 @@
 """Read vector files: all formats and geometries that GDAL knows, each feature with its number in the file."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct
@@ -20,9 +18,8 @@ import shapely
 from p2wss.data.tiling import Bounds
 from p2wss.footprints import osm_tags
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError, reading
 from p2wss.storage.features import Features, columns_of
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading
 
 T = TypeVar("T")
 # WKB types that shapely cannot read, and types that it reads with the same bytes

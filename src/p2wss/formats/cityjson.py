@@ -3,8 +3,6 @@
 Specifications: https://www.cityjson.org/specs/2.0.1/ and https://www.cityjson.org/cityjsonseq/ .
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

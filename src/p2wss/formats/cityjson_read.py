@@ -18,8 +18,7 @@ import shapely
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.errors import InputError, reading
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -1,7 +1,5 @@
 """GeoPackage tables, written completely or not at all."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Mapping

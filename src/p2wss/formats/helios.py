@@ -4,8 +4,6 @@
 documentation of HELIOS++ (https://github.com/3dgeo-heidelberg/helios), pages "Scene" and "Materials".
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from xml.sax.saxutils import quoteattr

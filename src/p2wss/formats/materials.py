@@ -7,8 +7,6 @@ characters from the tax files, one for each of two materials: the variables ``dm
 Bâtiment, and the dictionary of the fichiers fonciers (Cerema), which both list the digits.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The mesh formats: for each, a function from bodies to the content of its files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

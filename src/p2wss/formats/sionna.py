@@ -4,8 +4,6 @@
 within a shape, and a shape has only one material. So a shape is by default a whole solid.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -23,7 +21,7 @@ from p2wss.formats.materials import EDITION, MATERIALS, Properties, properties
 from p2wss.formats.meshes import AXES, Body, Frame, file_names, material_names
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
 TERRAIN_TOP = "terrain_top.ply"

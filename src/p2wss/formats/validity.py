@@ -18,7 +18,7 @@ from p2wss.mesh.rules import MEANINGS, VAL3DITY, breaches
 from p2wss.mesh.topology import doubled_areas
 from p2wss.mesh.triangulation import triangulated_in_space
 from p2wss.skeleton.groups import groups
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 if TYPE_CHECKING:
     import manifold3d

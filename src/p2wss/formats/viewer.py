@@ -4,8 +4,6 @@ Data and scripts are embedded in the page. Points are whole centimetres in int16
 both in base64.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math

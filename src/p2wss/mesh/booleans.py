@@ -4,8 +4,6 @@ With its first difference of solids, it starts as many threads as there are proc
 fork of this process does not have these threads, and may wait for them forever.
 """
 
-from __future__ import annotations
-
 import os
 
 import manifold3d

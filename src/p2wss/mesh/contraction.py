@@ -1,7 +1,5 @@
 """Removes an edge of a mesh, compiled: what may change around it, where planes meet without it, what has changed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.mesh.meeting import EXACT_M, NO_AREA_M2, equations, is_near, points

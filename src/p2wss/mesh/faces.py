@@ -3,8 +3,6 @@
 Triangles with equal labels that share a side are one face: there is no geometric tolerance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

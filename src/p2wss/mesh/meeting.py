@@ -1,7 +1,5 @@
 """Moves the planes of a mesh by as little as possible so that the planes at a place meet in one point."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

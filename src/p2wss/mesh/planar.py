@@ -1,7 +1,5 @@
 """Makes the roofs of a mesh exactly planar and removes short edges: planes move by millimetres, and walls stay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests of the rings and polygons of a solid, compiled. Distances are in metres."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, entry, inner

@@ -1,7 +1,5 @@
 """Solids as files store them. Faces that would break a rule of ISO 19107 in a file are divided into triangles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

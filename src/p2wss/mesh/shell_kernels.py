@@ -1,7 +1,5 @@
 """Triangles of a solid, compiled: crossings, thin triangles, whether an edge can be removed, and their planes."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points on a triangle mesh: uniform samples, exact distances to it, and the triangle over or below each."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import entry

@@ -1,7 +1,5 @@
 """How triangles are connected: pairs of half-edges, borders, faces, and parts."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import entry

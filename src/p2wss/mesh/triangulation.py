@@ -1,7 +1,5 @@
 """Triangles of planar polygons with holes, as validators of city models make them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The input features of the network that predicts a roof from few points. Imports no torch."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The device that tensors are on, and the precision of matrix products."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -14,7 +12,7 @@ from torch import Tensor, nn
 
 from p2wss.config import Compute, DeviceName
 from p2wss.nets import distributed
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # backend of torch.compile
 COMPILER = "inductor"

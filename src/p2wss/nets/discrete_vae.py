@@ -3,8 +3,6 @@
 mini-PointNet -> DGCNN over patch centres -> Gumbel softmax over the codebook -> DGCNN -> folding decoder.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 

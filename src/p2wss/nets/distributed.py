@@ -5,8 +5,6 @@ over the processes are the same as in a single process with the whole batch. Sum
 the processes, batch norms use the moments over all processes, and losses over pairs see the features of all processes.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterator
@@ -18,7 +16,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 
 def num_processes() -> int:

@@ -1,7 +1,5 @@
 """Layers of both networks: batch norm over all processes, and linear layers that read coordinates."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F

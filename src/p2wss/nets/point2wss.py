@@ -1,7 +1,5 @@
 """Point2WSS: two masked transformer branches with cross-attention to each other (paper, sections 4.1 to 4.5)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """What a network says about buildings. Imports no torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

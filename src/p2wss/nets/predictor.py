@@ -1,4 +1,9 @@
-"""Inference with a trained Point2WSS: from points and footprints to heights and angles."""
+"""Inference with a trained Point2WSS: from points and footprints to heights and angles.
+
+The digits of one number are predicted independently, so their joint distribution is the product. The paper takes
+the most probable digit at each place; a wrong tens digit then costs ten metres. The median of the joint
+distribution has the least expected absolute error, and the distributions of several views can be averaged.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +12,30 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from p2wss.config import DeviceName
-from p2wss.nets import compute, decoding
+from p2wss.config.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
+from p2wss.nets import compute
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre, thin
 from p2wss.nets.patches import Patches
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.prediction import Prediction
-from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, Quantised, roll_index
+from p2wss.nets.tokenizer import (
+    KIND_COORDINATE,
+    KIND_SIGN,
+    MASK,
+    MINUS,
+    PLUS,
+    Quantised,
+    Tokenizer,
+    roll_index,
+)
 from p2wss.nets.weights import load_model
 
 # rows of a forward pass on a GPU
@@ -196,8 +213,8 @@ class Point2WssPredictor:
         angles = angles.gather(1, back[..., None].expand_as(angles))
         heights = heights.unflatten(0, (self.num_views, -1)).mean(0)
         angles = angles.unflatten(0, (self.num_views, -1)).mean(0)
-        angles = decoding.constrain(angles, self._angle_support())
-        height, angle = decoding.decode(heights, mode), decoding.decode(angles, mode)
+        angles = constrain(angles, self._angle_support())
+        height, angle = decode(heights, mode), decode(angles, mode)
         return (
             (height * 10.0 ** tokenizer.places[-1]).cpu().numpy(),
             angle.double().cpu().numpy(),
@@ -226,12 +243,12 @@ class Point2WssPredictor:
         heights, angle = self._distributions(
             logits[:, tokenizer.target_positions(batch.xy.shape[1]).to(self.device)]
         )
-        height = decoding.decode(heights, mode)
-        angle = decoding.constrain(angle, self._angle_support())
+        height = decode(heights, mode)
+        angle = constrain(angle, self._angle_support())
         return (
             (height * 10.0 ** tokenizer.places[-1]).cpu().numpy(),
             xy_m.cpu().numpy(),
-            decoding.decode(angle, mode).gather(1, back).double().cpu().numpy(),
+            decode(angle, mode).gather(1, back).double().cpu().numpy(),
         )
 
     def _coordinates(self, blocks: Tensor, logits: Tensor) -> Tensor:
@@ -240,8 +257,8 @@ class Point2WssPredictor:
         tokenizer, axes = self.tokenizer, []
         for slot in (tokenizer.x_slot, tokenizer.y_slot):
             digits = logits[..., slot + 1 : slot + 1 + len(tokenizer.coord_places), :]
-            distribution = decoding.number_distribution(digits, tokenizer, tokenizer.coord_places)
-            size = decoding.decode(distribution, self.settings.mode)
+            distribution = number_distribution(digits, tokenizer, tokenizer.coord_places)
+            size = decode(distribution, self.settings.mode)
             guess = torch.tensor([PLUS, MINUS], device=self.device)[
                 logits[..., slot, [PLUS, MINUS]].argmax(-1)
             ]
@@ -261,7 +278,7 @@ class Point2WssPredictor:
         )
 
     def _angle_support(self) -> Tensor:
-        return decoding.angle_support(self.settings.angle_support).to(self.device)
+        return angle_support(self.settings.angle_support).to(self.device)
 
     def _distributions(self, logits: Tensor) -> tuple[Tensor, Tensor]:
         """Distributions of the heights (b, 10^k) and of the angles (b, n, 100) from the logits at
@@ -270,8 +287,8 @@ class Point2WssPredictor:
         height, angle = logits.tensor_split([len(tokenizer.places)], 1)
         digits = angle.unflatten(1, (-1, len(tokenizer.angle_places)))
         return (
-            decoding.number_distribution(height, tokenizer, tokenizer.places),
-            decoding.number_distribution(digits, tokenizer, tokenizer.angle_places),
+            number_distribution(height, tokenizer, tokenizer.places),
+            number_distribution(digits, tokenizer, tokenizer.angle_places),
         )
 
 
@@ -313,3 +330,41 @@ def _map_on_single_threads(
 def _courtyard_angle(exterior: np.ndarray) -> float:
     slopes = exterior[exterior < 90]
     return float(np.median(slopes if len(slopes) else exterior))
+
+
+def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int, ...]) -> Tensor:
+    """(..., 10^k) probabilities of the integers 0 .. 10^k - 1 from logits (..., k, vocabulary) of k digits.
+
+    At each place only its ten digit tokens count.
+    """
+    joint = torch.ones(*logits.shape[:-2], 1, device=logits.device)
+    for index, place in enumerate(places):
+        digit = F.softmax(logits[..., index, tokenizer.digit_tokens(place)].float(), -1)
+        joint = (joint[..., :, None] * digit[..., None, :]).flatten(-2)
+    return joint
+
+
+def angle_support(support: Literal["roofs", "all"]) -> Tensor:
+    """bool (100,): the angles in degrees that may be predicted; "roofs" is the paper's 0, 90 and 20 to 45."""
+    allowed = torch.zeros(100, dtype=torch.bool)
+    if support == "all":
+        allowed[:91] = True
+    else:
+        allowed[[FLAT_DEG, VERTICAL_DEG, *range(MIN_SLOPE_DEG, MAX_SLOPE_DEG + 1)]] = True
+    return allowed
+
+
+def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
+    """Set the values that are not ``allowed`` (v,) to 0 and renormalise (..., v); uniform where all are 0."""
+    masked = distribution * allowed
+    total = masked.sum(-1, keepdim=True)
+    return torch.where(total > 0, masked / total.clamp_min(1e-30), allowed / allowed.sum())
+
+
+def decode(distribution: Tensor, mode: Literal["argmax", "median"]) -> Tensor:
+    """int64 (...): the most probable value ("argmax"), or the smallest with half of the mass at or below it."""
+    if mode == "argmax":
+        return distribution.argmax(-1)
+    # double: the sum over 10^4 values must not stop short of one half
+    cumulated = distribution.double().cumsum(-1)
+    return (cumulated < 0.5 * cumulated[..., -1:]).sum(-1)

@@ -1,7 +1,5 @@
 """Predict the roof between few points with a small network, in numpy; ``benchmarks/completion.py`` trains it."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """The threads of torch. Imports torch only when it is called."""
 
-from __future__ import annotations
-
 import os
 
 

@@ -13,8 +13,6 @@ that leaves it.
 All functions work on batches of padded tensors, of which each row is valid up to its ``num_vertices``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """Pre-norm transformer blocks, with or without cross-attention."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

@@ -1,7 +1,5 @@
 """Files of trained weights: safetensors with the configs, the code's fingerprint and the last measures."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +18,7 @@ from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.weights_file import KIND, read_metadata
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 _Network = TypeVar("_Network", bound=Module)
 

@@ -1,14 +1,12 @@
 """Files of weights: the one that comes with the package, and the metadata of a file. Imports no torch."""
 
-from __future__ import annotations
-
 import json
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 # values in place of a file of weights: no network, and the weights of the package
 NO_NETWORK, SHIPPED = "none", "point2wss"

@@ -4,8 +4,6 @@ A batch is some of the footprints, together with the footprints on which their r
 around all of these. So a building is the same in any batch, in any tile, and alone.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
@@ -38,9 +36,8 @@ from p2wss.reconstruction.registration.register import (
 )
 from p2wss.reconstruction.registration.shifts import MAX_SHIFT_M
 from p2wss.reconstruction.running.failures import note, surviving
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 # a building depends on points up to this far from its footprint, which may move and turn
 MARGIN_M = GROUND_REACH_M + 2 * MAX_SHIFT_M

@@ -1,7 +1,5 @@
 """Whether the code is compiled for this computer. A module of its own, so that the answer needs no slow import."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform
@@ -14,7 +12,7 @@ from llvmlite.binding import get_host_cpu_name
 from p2wss.mesh.contraction import contracted
 from p2wss.reconstruction.running.processes import can_fork
 from p2wss.skeleton.compiled import alone_ahead, cache_folder, is_stored
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # most processes that compile at once; each takes 0.6 GB
 _MAX_PROCESSES = 4

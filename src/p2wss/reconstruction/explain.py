@@ -1,7 +1,5 @@
 """Why a roof is as it is: the planes that its points show, the lines between planes, and what each price decided."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,8 +18,7 @@ from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs.picture import plot
 from p2wss.reconstruction.scene import SceneBuilding
 from p2wss.skeleton.angles import slope_angles
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 # a plane that is not used is tried in cells in which it has more than this share of the points
 _MOST = 0.5

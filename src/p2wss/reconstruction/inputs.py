@@ -36,10 +36,9 @@ from p2wss.data.tiling import Bounds, are_near, bounds_of_points, grown
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import NO_NETWORK, read_metadata, weights_to_use
 from p2wss.reconstruction.roof_lines import read_lines
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import UNKNOWN, placed, stated_crs, unit_m, with_heights
-from p2wss.storage.log_lines import first_of, log
+from p2wss.storage.messages import InputError, first_of, log
 
 if TYPE_CHECKING:
     import geopandas as gpd

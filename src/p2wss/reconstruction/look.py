@@ -1,7 +1,5 @@
 """What a run would understand of clouds, footprints and terrain, told before an hour of computing."""
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from pathlib import Path
@@ -21,10 +19,9 @@ from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.outputs import exports
 from p2wss.reconstruction.points import plausibility, unclassified
 from p2wss.reconstruction.points.cloud_index import CloudIndex
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal, vertical_part
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 # points of at most this many footprints are read; the checks of plausibility use the same footprints
 NUM_SAMPLED = 200

@@ -1,7 +1,5 @@
 """Stage reconstruct: from the user's own footprints and LiDAR to closed buildings, each with a status."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -23,12 +21,11 @@ from p2wss.fit.points import every_kth
 from p2wss.footprints.cleaning import ADDED_COLUMNS, OF_INPUT
 from p2wss.footprints.overlaps import COLUMN
 from p2wss.mesh import Mesh
-from p2wss.reconstruction.network import Predictor
 from p2wss.reconstruction.outputs.attributes import attributes
 from p2wss.reconstruction.outputs.measures import party_wall_areas_m2
 from p2wss.reconstruction.points.ground import BUILDINGS, ground_of
 from p2wss.reconstruction.points.own_points import with_own_classes
-from p2wss.reconstruction.product import flat_roofs, method_name, reconstruct_buildings
+from p2wss.reconstruction.product import Predictor, flat_roofs, method_name, reconstruct_buildings
 from p2wss.reconstruction.registration.register import Registration
 from p2wss.reconstruction.result import Result, Row, failed, result_of
 from p2wss.reconstruction.roof_lines import LINES
@@ -37,7 +34,7 @@ from p2wss.reconstruction.running.processes import Shared
 from p2wss.reconstruction.running.spool import Lazy, Spool
 from p2wss.skeleton.nearest import nearest
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # column: whether a footprint is an outline of points to which p2wss, not the producer, gave class building
 OWN_OUTLINE = "p2wss_own_outline"

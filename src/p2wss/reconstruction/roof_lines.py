@@ -10,9 +10,8 @@ import shapely
 
 from p2wss.data.crs import MetricCrs, reprojected
 from p2wss.footprints.vector_files import read_vector
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -33,14 +33,13 @@ from p2wss.reconstruction.running.failures import Failures
 from p2wss.reconstruction.running.spool import Spool
 from p2wss.reconstruction.scene import Run, Scene, as_registered, of_run
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.progress import Progress
 from p2wss.storage.provenance import fingerprint
 
 if TYPE_CHECKING:
-    from p2wss.reconstruction.network import Predictor
+    from p2wss.reconstruction.product import Predictor
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,7 @@ from p2wss.reconstruction.skin import block_skins
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
 from p2wss.storage.arguments import checked, public
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.temporary import Closeable
 
 if TYPE_CHECKING:

@@ -1,7 +1,5 @@
 """Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -22,15 +20,15 @@ from p2wss.footprints.cleaning import clean_footprints
 from p2wss.mesh.mesh import Mesh
 from p2wss.mesh.planar import with_exact_faces
 from p2wss.mesh.surface import topmost
-from p2wss.reconstruction.network import with_supposed_roofs
 from p2wss.reconstruction.outputs import exports
 from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.product import with_supposed_roofs
 from p2wss.reconstruction.registration.shifts import solve_shift
 from p2wss.reconstruction.running.processes import Shared
 from p2wss.skeleton import build
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.features import Features
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"

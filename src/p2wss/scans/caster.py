@@ -1,7 +1,5 @@
 """The cast: pulses in chunks through Embree, in the order of firing, on any number of threads."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from threading import local

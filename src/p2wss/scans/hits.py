@@ -5,8 +5,6 @@ meets first is taken from it. The point is computed here in float64 and must lie
 points equal on machines whose Embree rounds differently.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Pictures of a simulated scan: the same window by building and by strip."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

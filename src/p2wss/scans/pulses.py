@@ -6,8 +6,6 @@ thirds of a survey are never generated. Within a block the attitude of the platf
 less than 4e-6 rad in that time, 5 mm on the ground).
 """
 
-from __future__ import annotations
-
 from math import cos, floor, pi, sin, tan
 from typing import NamedTuple
 

@@ -7,8 +7,6 @@ generators"). Normal deviates are looked up in a table of 2^12 quantiles that fi
 per hash, ten times cheaper than Box-Muller; they end at 3.67 standard deviations.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import ndtri
 

@@ -3,8 +3,6 @@
 One ray stands for each beam, drawn within its divergence. The sensor records a range on the axis of the beam.
 """
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 from typing import NamedTuple
 

@@ -1,8 +1,6 @@
 """Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in docs/methods/scans.md), or
 of any meshes without a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +28,7 @@ from p2wss.scans.survey import PAPER_ALTITUDE_M, Survey, plan
 from p2wss.scans.terrain import TerrainGrid, local_grid
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # the reflectance of a roof or of walls has this beta distribution: a mean of 0.31 and a standard deviation of 0.12
 _REFLECTANCE_BETA = (4, 9)

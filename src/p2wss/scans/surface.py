@@ -1,7 +1,5 @@
 """What the pulses hit: the terrain, and triangles with optical properties. The face ids of the points."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ mean density is D = PRF / (v S) for any scan pattern, and the pulse rate follows
 holds only a strip or two, the pulse rate is set from the time that the beam really spends over the scene.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, radians, sin, tan
 from typing import Any

@@ -1,7 +1,5 @@
 """Terrain as triangles, two between four neighbouring cells of a raster, and rays against it."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

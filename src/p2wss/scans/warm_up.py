@@ -1,7 +1,5 @@
 """Compiles all that the simulated survey calls, by surveying one small box."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 

@@ -1,7 +1,5 @@
 """Build the closed mesh of each footprint from its eave height and roof angles (paper, section 3)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import geopandas as gpd
@@ -14,7 +12,7 @@ from p2wss import skeleton
 from p2wss.config import Buildings
 from p2wss.data import polygon_arrays
 from p2wss.storage import files
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 
 def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:

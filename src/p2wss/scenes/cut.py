@@ -1,7 +1,5 @@
 """Cut a scene: the buildings of a tile and of its margin, with heights and roof angles or a reason for exclusion."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import geopandas as gpd

@@ -1,8 +1,6 @@
 """Angles and tangents that are the same on all processors. The last bit of numpy's ``arctan2``, ``arctan`` and ``tan``
 depends on the instructions that a processor has, and may decide which way a coordinate is rounded."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whole batches: ragged polygons in, ragged meshes out."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ A mesh that passes does not intersect itself: the triangles of its top all face 
 areas in plan add up to the area of the footprint, and they have the same boundary, so they cover it once.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import inner

@@ -1,7 +1,5 @@
 """From the directed edges of a solid to its faces: polygons with holes."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One polygon as edge records, and the check that its rings are simple and correctly nested."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import inner

@@ -1,7 +1,5 @@
 """Connected groups, cells side by side in a mask, and half-edges that run the other way."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import both, inner

@@ -5,8 +5,6 @@ label cancel, which is how coplanar neighbours merge: a gable triangle with the 
 that 0 degree edges have swept, roof pieces that share a plane.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -21,8 +21,6 @@ Weighted skeletons and their ambiguities: Held and Palfrader, *Straight skeleton
 multiplicative weights and their application to the algorithmic generation of roofs and terrains*, 2017.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, embedded, inner

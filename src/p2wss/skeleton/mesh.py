@@ -1,7 +1,5 @@
 """From one polygon with angles and heights to one closed and checked triangle mesh."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches

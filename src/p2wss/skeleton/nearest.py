@@ -1,8 +1,6 @@
 """The points nearest to places. scipy's trees are slower for the few points of a building, and loading them takes a
 tenth of a program's start."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, both, entry, inner

@@ -1,7 +1,5 @@
 """Sorting for compiled code: the sorts of numba itself take half a second to compile, for each type."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, inner

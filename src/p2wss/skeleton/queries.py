@@ -4,8 +4,6 @@ With the face of every point held fixed, the height is linear in the eave height
 angles: z = eave + tan(angle of the edge) * distance to the edge's line. That is what :func:`_assign` returns.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

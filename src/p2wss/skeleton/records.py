@@ -1,7 +1,5 @@
 """Records of the work arrays, and labels of faces. One set of arrays, sized for the largest polygon, serves a batch."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

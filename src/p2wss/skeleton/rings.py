@@ -1,8 +1,6 @@
 """Areas of rings, whether points are inside, and distances of segments, for compiled code. A ring is
 ``xy[first:last]``, float64 (n, 2), without its first vertex at the end."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import inlined, inner

@@ -1,7 +1,5 @@
 """All reasons for which the kernel rejects a polygon."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 

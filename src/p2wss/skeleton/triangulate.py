@@ -1,8 +1,6 @@
 """Ear clipping of faces with holes. It keeps every vertex, also collinear ones, so that neighbouring faces
 still match."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, embedded, inner

@@ -3,8 +3,6 @@
 A parameter is checked by its name, since one name means the same in every function.
 """
 
-from __future__ import annotations
-
 import inspect
 import logging
 import math
@@ -15,7 +13,7 @@ from functools import wraps
 from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
 
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # packages that only some functions need, and the extras of pyproject.toml that bring them
 EXTRAS = {

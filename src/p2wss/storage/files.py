@@ -21,8 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError, reading, writing
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log, reading, writing
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
 if TYPE_CHECKING:

@@ -8,14 +8,12 @@ of JSON, and else in a last line that follows the content (LAZ, TIFF, GeoPackage
 A file without a checksum was not written by p2wss, and is read without verification.
 """
 
-from __future__ import annotations
-
 import hashlib
 import mmap
 import os
 from pathlib import Path
 
-from p2wss.storage.errors import InputError, reading
+from p2wss.storage.messages import InputError, reading
 
 PREFIX = "p2wss-sha256:"
 _MARKER = PREFIX.encode()

@@ -3,8 +3,6 @@
 laspy reads the first record that it knows, and of GeoTIFF keys the horizontal CRS only. The rest is read here.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -15,7 +13,7 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 # name of a vertical CRS if only its unit is known
 UNKNOWN = "unknown height"

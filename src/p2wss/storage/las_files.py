@@ -1,7 +1,5 @@
 """Open LAS, LAZ and COPC files after checking their headers, so that none uses unbounded time or memory."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import struct
@@ -16,7 +14,7 @@ import lazrs
 import numpy as np
 
 from p2wss.storage import integrity
-from p2wss.storage.errors import reading
+from p2wss.storage.messages import reading
 
 # what messages call such a file
 KIND = "a readable LAS, LAZ or COPC file, or truncated"

@@ -1,7 +1,5 @@
 """Progress of long loops: a bar on a terminal, plain lines in a log."""
 
-from __future__ import annotations
-
 import logging
 import sys
 import time
@@ -9,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Self
 
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 
 INTERVAL_S = 2.0
 # lines of a log become rarer: the next one comes after at least this share of the time so far

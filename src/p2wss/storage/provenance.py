@@ -8,8 +8,6 @@ Each version of a module is parsed once: what counts of it is kept in a file bes
 its bytes. A digest of the code does not depend on the version of Python.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 from contextlib import suppress
@@ -20,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from p2wss.storage import sources
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.sources import PACKAGE
 
 # modules that do not count: their values reach a stage through the parameters, or they only pass paths on

@@ -1,7 +1,5 @@
 """The source files of this package, each found and read once in a process."""
 
-from __future__ import annotations
-
 import os
 from functools import cache
 from hashlib import blake2b

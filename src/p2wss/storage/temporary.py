@@ -1,7 +1,5 @@
 """Temporary files and folders, with names that tell which of them are left from killed processes and can be removed."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -16,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
-from p2wss.storage.errors import writing
+from p2wss.storage.messages import writing
 
 # whether a process of another host still runs is unknown: its files are removed when they are this old
 _ABANDONED_S = 24 * 3600.0

@@ -6,8 +6,6 @@ The roofs come from the wings generated here and never from the package's geomet
 independent, so nothing here imports ``p2wss.skeleton``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

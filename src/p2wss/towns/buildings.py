@@ -1,7 +1,5 @@
 """A drawn building: wings with simple roofs. It is independent of the kernel, so that it can test the kernel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import cast

@@ -1,7 +1,5 @@
 """A town as IGN would deliver it: BD TOPO footprints with their gaps, RGE ALTI terrain as ASC tiles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import date
 from io import BytesIO

@@ -1,7 +1,5 @@
 """The plan of a town: blocks between bent streets, and what kind of buildings each holds."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -1,7 +1,5 @@
 """The site of every synthetic town: four tiles of a kilometre, and the ground under them."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -1,7 +1,5 @@
 """The table of the ablation: the errors of variants of the section model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Random augmentations of whole batches that keep clouds and their parameters consistent."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

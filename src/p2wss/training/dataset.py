@@ -4,8 +4,6 @@ Points stay int16 centimetres in one flat array, as in the shards of ``crops``; 
 of it, thinned and converted to metres on demand. When shards are read, the points go into a temporary file.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -26,7 +24,7 @@ from p2wss.data.points import points_on_building
 from p2wss.data.seeds import generator
 from p2wss.nets.batch import SEED_STRIDE, Batch, cut
 from p2wss.storage import files
-from p2wss.storage.errors import InputError, writing
+from p2wss.storage.messages import InputError, writing
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
 
 # buildings are sorted by length within a window of this many batches, so that little is padding

@@ -1,7 +1,5 @@
 """Stage dvae: train the discrete VAE that turns patches of points into tokens (paper, section 4.2)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +12,7 @@ from p2wss.nets import compute, distributed
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.training import augment, loop
 from p2wss.training.dataset import BatchSampler, BuildingDataset, TrainingLimits, describe, load_dataset
 

@@ -5,8 +5,6 @@ Everything random in step i follows from (seed, i) alone. A run that was stopped
 same steps as one that was not, bit for bit on a CPU.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -27,8 +25,7 @@ from p2wss.config import Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import distributed
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
 

@@ -4,9 +4,8 @@ Heights are eave heights above the ground as estimated from the cloud (``ground_
 has no other ground; labels, which refer to the terrain of the simulation, are converted.
 """
 
-from __future__ import annotations
-
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +14,30 @@ from torch import Tensor, nn
 
 from p2wss.config import Augmentation
 from p2wss.config import Model as ModelConfig
+from p2wss.config.training import Masking
 from p2wss.data.seeds import derive_seed, generator
 from p2wss.nets import compute, distributed
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import Dgcnn, DiscreteVae, MiniPointNet
+from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.point2wss import Group, Point2Wss, Sequences, inference_weights
 from p2wss.nets.predictor import Point2WssPredictor
-from p2wss.nets.tokenizer import Tokenizer
+from p2wss.nets.tokenizer import (
+    KIND_ANGLE,
+    KIND_COORDINATE,
+    KIND_FRAME,
+    KIND_HEIGHT,
+    KIND_PAD,
+    MASK,
+    Quantised,
+    Tokenizer,
+)
 from p2wss.nets.transformer import Block
 from p2wss.nets.weights import load_dvae, load_model
 from p2wss.storage import files
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import log
 from p2wss.training import augment, loop
 from p2wss.training.dataset import BatchSampler, BuildingDataset, describe, load_dataset, training_limits
-from p2wss.training.masking import mask_parameters, mask_patches
 
 
 def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, code: str) -> Point2Wss:
@@ -206,3 +215,57 @@ def augment_batch(batch: Batch, settings: Augmentation, min_points: int, reach_m
     is_far = batch.xy.norm(dim=-1).amax(1) > reach_m
     batch = augment.rotate_randomly(batch.replaced_by(plain, is_far))
     return augment.jitter(batch, settings.jitter_m) if settings.jitter_m > 0 else batch
+
+
+def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
+    """bool (b, g): a random valid patch and its nearest neighbours, a share of the patches drawn from ``ratio``
+    (Point-BERT)."""
+    valid = patches.valid
+    batch = len(valid)
+    device = valid.device
+    seed = torch.rand(valid.shape, device=device).masked_fill(~valid, -1).argmax(1)
+    centre = patches.centre[torch.arange(batch, device=device), seed]
+    distance = squared_distance(centre[:, None], patches.centre)[:, 0].masked_fill(~valid, torch.inf)
+    rank = distance.argsort(1).argsort(1)
+    share = ratio[0] + (ratio[1] - ratio[0]) * torch.rand(batch, device=device)
+    count = (share * valid.sum(1)).long().clamp(min=1)
+    return (rank < count[:, None]) & valid
+
+
+def mask_parameters(
+    tokenizer: Tokenizer, parameters: Quantised, tokens: Tensor, settings: Masking
+) -> tuple[Tensor, Tensor]:
+    """(what the network reads in place of ``tokens``, int64 (b, l); which tokens it has to predict, bool (b, l)).
+
+    tokens: (b, l), of canonical ``parameters``. Each sample has one of four patterns, drawn with the given shares.
+    Inference pattern: all digits of height and angles are masked. Table-1 pattern: all digits. Disturbed pattern: all
+    digits are to be predicted, but the coordinates are misplaced instead of masked, with their true signs. Random
+    pattern, for the remaining share: each token but [start] and [end] with a probability drawn per sample from
+    ``random_ratio``. The paper's masking has shares of 0 and a ratio of (0.3, 0.3).
+    """
+    kind = tokenizer.kinds(tokens.shape, parameters.num_vertices)
+    shares = torch.tensor([settings.inference_share, settings.table1_share, settings.disturbed_share])
+    shares = shares.cumsum(0).to(kind.device, non_blocking=True)
+    pattern = torch.searchsorted(shares, torch.rand(len(kind), 1, device=kind.device), right=True)
+    low, high = settings.random_ratio
+    ratio = low + (high - low) * torch.rand(len(kind), 1, device=kind.device)
+    random = torch.rand(kind.shape, device=kind.device) < ratio
+    random &= (kind != KIND_PAD) & (kind != KIND_FRAME)
+    is_coordinate = (kind == KIND_COORDINATE) & (pattern > 0)
+    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE) | is_coordinate
+    wanted = torch.where(pattern < len(shares), targets, random)
+    given = tokens.masked_fill(wanted, MASK)
+    if settings.disturbed_share:
+        misplaced = tokenizer.encode(disturb(parameters, tokenizer, settings.disturbance_m))
+        given = torch.where((pattern == 2) & is_coordinate, misplaced, given)
+    return given, wanted
+
+
+def disturb(parameters: Quantised, tokenizer: Tokenizer, largest_m: float) -> Quantised:
+    """The parameters with Gaussian noise on the sizes of all coordinates, whose signs stay. The standard deviation of
+    each sample is drawn from 0 to ``largest_m``."""
+    xy = parameters.xy
+    sigma = largest_m * 10**tokenizer.coord_decimals * torch.rand(len(xy), 1, 1, device=xy.device)
+    noise = torch.round(sigma * torch.randn(xy.shape, device=xy.device)).long()
+    size = (xy.abs() + noise).clamp(1, tokenizer.max_coord)
+    return replace(parameters, xy=torch.where(xy < 0, -size, size))

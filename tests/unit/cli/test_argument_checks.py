@@ -25,7 +25,7 @@ from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.footprints import cleaning as footprints
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.reconstruction.inputs import output_stem
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 def write_files(place: Path) -> None:

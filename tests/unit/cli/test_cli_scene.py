@@ -15,7 +15,7 @@ from pytest_httpserver import HTTPServer
 
 from p2wss.cli import main
 from p2wss.fetching.area import bounds_around, bounds_of_bbox
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # 40 m around a middle in metres; its corner is in degrees, too
 MIDDLE = (653150.0, 6860760.0)

@@ -28,8 +28,8 @@ from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Body, frame_around
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.measures import MEASURES
 
 DATA = SHARED / "data"

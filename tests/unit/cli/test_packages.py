@@ -20,7 +20,7 @@ from p2wss import cli
 from p2wss.cli import importing
 from p2wss.config.generate import default_yaml, json_schema
 from p2wss.storage.arguments import EXTRAS
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 

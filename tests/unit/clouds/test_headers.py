@@ -12,7 +12,7 @@ import pytest
 
 from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.data.listing import extent_m, may_overlap
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 @pytest.mark.parametrize(("share", "is_told"), [(0.5, True), (1.0, False)])

@@ -11,7 +11,7 @@ from places import ROOT
 from p2wss import config
 from p2wss.config import Config, Section
 from p2wss.config.generate import default_yaml
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 def test_generated_files_are_up_to_date():

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from p2wss.config import Config, load, member_places, place_config
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 CONFIG = Path(__file__).parents[3] / "config"
 # what config/plus.yaml takes from the miniature, and what a larger network has of its own

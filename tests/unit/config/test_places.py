@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from p2wss.config import dataset_name, draw_places, load, member_place, member_places, place_config
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 TWO_CITIES = {
     "region": {"name": "cities", "vintage": "2024"},

@@ -26,8 +26,8 @@ from p2wss.data.tiling import tile_name
 from p2wss.footprints import cleaning
 from p2wss.scans import scan as scans
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.las_crs import same_crs
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import CROPS
 
 DATA = SHARED / "data"

@@ -24,7 +24,7 @@ from p2wss.data.crs import (
     same_crs,
 )
 from p2wss.data.terrain import Terrain
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 FOOT = 1200 / 3937
 NEW_YORK, NEW_YORK_FEET = pyproj.CRS.from_epsg(32118), pyproj.CRS.from_epsg(2263)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from p2wss.data import listing
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 def write_cloud(path, x_m, y_m):

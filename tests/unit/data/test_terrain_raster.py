@@ -12,7 +12,7 @@ from rasterio.transform import Affine, from_origin
 from scipy.interpolate import RegularGridInterpolator
 
 from p2wss.data.terrain import Terrain, read_terrain, without_impossible, write_terrain
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 def hilly(rows: int = 30, columns: int = 40, cell: float = 2.0) -> Terrain:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from p2wss.data import seeds, tiling
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 def test_examples_in_docstrings():

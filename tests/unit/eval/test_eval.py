@@ -36,7 +36,7 @@ from p2wss.eval.cases import (
 from p2wss.nets import predictor as predictor_module
 from p2wss.nets import weights
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES
 

@@ -19,9 +19,9 @@ from p2wss.data.building import Reconstruction
 from p2wss.eval import cases, measure, methods, tables
 from p2wss.footprints import cleaning
 from p2wss.mesh.surface import sample_surface
-from p2wss.reconstruction.flat import lod1
-from p2wss.storage.errors import InputError
+from p2wss.reconstruction.product import lod1
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
 
 DATA = SHARED / "data"

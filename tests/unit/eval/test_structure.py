@@ -11,7 +11,7 @@ from drawn_towns.planes import mesh_of as of_triangles
 from places import ROOT
 
 import p2wss
-from p2wss.eval.metrics.structure import false_and_missing_share, roof_edges
+from p2wss.eval.metrics import false_and_missing_share, roof_edges
 from p2wss.mesh import Mesh
 
 sys.path.insert(0, str(ROOT / "benchmarks"))

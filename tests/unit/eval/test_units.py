@@ -13,7 +13,7 @@ import pytest
 
 import p2wss
 from p2wss import cli
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 PLACE, STATE_PLANE, US_FOOT = "EPSG:26910", "EPSG:2227", 1200 / 3937
 HEIGHTS_FT = "EPSG:6360"

@@ -19,8 +19,7 @@ from p2wss.data.building import Building, Reconstruction
 from p2wss.eval import cases, measure, methods, report, tables
 from p2wss.eval.cases import Key
 from p2wss.eval.measure import roof_kind
-from p2wss.reconstruction.flat import constant
-from p2wss.reconstruction.product import FIT, NETWORK
+from p2wss.reconstruction.product import FIT, NETWORK, constant
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
 

@@ -24,7 +24,7 @@ from p2wss.config import Config, Eval, Reconstruct
 from p2wss.eval import measure, tables
 from p2wss.eval.viewer import MAX_POINTS, choices, viewer
 from p2wss.formats.viewer import OUTLINES, Layer, Place, Shown, environment, scene_page
-from p2wss.reconstruction.flat import constant, lod1
+from p2wss.reconstruction.product import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

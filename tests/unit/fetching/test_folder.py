@@ -25,7 +25,7 @@ from p2wss.fetching.source import known_height_share
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.formats.materials import materials_of
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 MINI = ROOT / "tests" / "mini"
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"

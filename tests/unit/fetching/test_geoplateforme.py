@@ -18,7 +18,7 @@ from p2wss.config import Geoplateforme
 from p2wss.fetching.bdtopo import normalise
 from p2wss.fetching.geoplateforme import GeoplateformeSource
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 from .service import BOUNDS, building, geotiff, heights, laz, serve_features, serve_terrain, tile_feature
 

@@ -20,7 +20,7 @@ from pytest_httpserver import HTTPServer
 
 from p2wss.config import Geoplateforme
 from p2wss.fetching.http import Client
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 BODY = b"LASF" + bytes(range(256)) * 400
 

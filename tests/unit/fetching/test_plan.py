@@ -18,7 +18,7 @@ from p2wss.cli import main
 from p2wss.config import load
 from p2wss.fetching.plan import download, estimate_downloads, format_estimates, region_yaml
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 from .service import building, laz, serve_features, serve_terrain, tile_feature
 

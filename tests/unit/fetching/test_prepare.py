@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from p2wss.config import Prepare
 from p2wss.fetching.prepare import Window, for_version, pipeline, prepare, read_stages
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 STAGES = ROOT / "config" / "pdal" / "prepare.json"
 BRESSE = ROOT.parent / "shared" / "data" / "bresse_ign" / "lidar.laz"

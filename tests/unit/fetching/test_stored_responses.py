@@ -13,7 +13,7 @@ from werkzeug import Request, Response
 
 from p2wss.fetching.bdtopo import normalise
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 from .service import BOUNDS, building, laz, serve_features, serve_terrain, tile_feature
 

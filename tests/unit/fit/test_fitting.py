@@ -11,9 +11,9 @@ from toy_roofs import bent_ridge
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.mesh.parametric import build_meshes
+from p2wss.fit.parametric import build_meshes
 from p2wss.fit.settings import THRESHOLDS
-from p2wss.reconstruction.flat import with_fallback
+from p2wss.reconstruction.product import with_fallback
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
 

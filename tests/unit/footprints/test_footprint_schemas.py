@@ -14,8 +14,8 @@ from p2wss.footprints.schemas import (
     schema_of,
     stated_heights_m,
 )
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features, columns_of
+from p2wss.storage.messages import InputError
 
 # the columns of each source, and the id and height of its row
 SOURCES = {

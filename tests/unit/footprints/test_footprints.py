@@ -16,7 +16,7 @@ from places import SHARED
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.footprints.coverage import kernel_status
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 CONFIG = Scenes()
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"

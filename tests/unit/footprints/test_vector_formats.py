@@ -27,8 +27,8 @@ from p2wss.data.crs import MetricCrs
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.footprints.vector_files import layer_info, read_attributes, read_vector
 from p2wss.formats import gpkg
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 
 FOREST = shapely.box(-40, -40, 40, 40)
 

@@ -27,7 +27,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.reconstruction.inputs import as_footprints
 from p2wss.skeleton.types import FaceKind, Polygons
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 DATA = SHARED / "data"
 L_SHAPE = [np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13]], float)]

@@ -12,10 +12,10 @@ from kernel_unions import union
 from toy_roofs import bent_ridge
 
 from p2wss import skeleton
+from p2wss.fit.parametric import FittedRoof
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.solid import solid_below
-from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh, planar
 from p2wss.mesh.meeting import _solved, with_meeting_planes
 from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces

@@ -6,7 +6,7 @@ import itertools
 
 import torch
 
-from p2wss.nets.decoding import angle_support, constrain, decode, number_distribution
+from p2wss.nets.predictor import angle_support, constrain, decode, number_distribution
 from p2wss.nets.tokenizer import Tokenizer
 
 

@@ -27,8 +27,7 @@ from p2wss.nets.tokenizer import (
     MASK,
     Tokenizer,
 )
-from p2wss.training.masking import mask_patches
-from p2wss.training.model import length_groups
+from p2wss.training.model import length_groups, mask_patches
 
 from .test_tokenizer import FORMATS, buildings, length
 

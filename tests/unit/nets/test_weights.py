@@ -13,8 +13,8 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 from p2wss.config import load
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.weights import load_dvae, load_model, read_weights, save_model, write_weights
-from p2wss.storage.errors import InputError
 from p2wss.storage.integrity import is_intact
+from p2wss.storage.messages import InputError
 
 SHIPPED = ROOT / "models" / "point2wss.safetensors"
 

@@ -18,8 +18,8 @@ from p2wss.clouds.reading import Cloud
 from p2wss.reconstruction.points import plausibility
 from p2wss.reconstruction.points.cloud_index import CELL_M, CloudIndex
 from p2wss.storage import temporary
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 
 NAMES = ("x_m", "y_m", "z_m", "classification", "day")
 

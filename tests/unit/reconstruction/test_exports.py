@@ -26,7 +26,7 @@ from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.result import Result
 from p2wss.reconstruction.skin import block_skins
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.wedges import WEDGES
 
 X, Y = 652000.0, 6861000.0

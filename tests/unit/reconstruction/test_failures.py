@@ -21,7 +21,7 @@ import shapely
 
 from p2wss import cli
 from p2wss.reconstruction.running.failures import Failures, note, surviving
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 # before the fixture that makes all tests strict
 MET = Failures.met

@@ -19,8 +19,8 @@ from p2wss.data.building import Reconstruction
 from p2wss.fit import fitting
 from p2wss.nets.predictor import load_predictor
 from p2wss.reconstruction.area import window
-from p2wss.reconstruction.network import Predictor
 from p2wss.reconstruction.pipeline import run
+from p2wss.reconstruction.product import Predictor
 
 NUM_BUILDINGS = 68
 

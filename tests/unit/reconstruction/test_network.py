@@ -15,11 +15,16 @@ from oracle_network import Oracle
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
-from p2wss.fit.mesh.parametric import kernel_angles, simplify_exterior, transfer_angles
+from p2wss.fit.parametric import kernel_angles, simplify_exterior, transfer_angles
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruction.flat import flat_height_m, lod1, with_fallback
-from p2wss.reconstruction.network import reconstruct_with_network, with_supposed_roofs
-from p2wss.reconstruction.product import reconstruct_buildings
+from p2wss.reconstruction.product import (
+    flat_height_m,
+    lod1,
+    reconstruct_buildings,
+    reconstruct_with_network,
+    with_fallback,
+    with_supposed_roofs,
+)
 
 CONFIG = Reconstruct()
 RECTANGLE = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)

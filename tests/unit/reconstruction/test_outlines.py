@@ -20,7 +20,7 @@ from p2wss.reconstruction.points.unclassified import with_classes
 from p2wss.reconstruction.tracing import outlines as tracing
 from p2wss.reconstruction.tracing.outlines import outline_features, outlines_and_crowns
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 LAMBERT = pyproj.CRS.from_epsg(2154)
 ORIGIN = np.array([652_000.0, 6_862_000.0])

@@ -31,7 +31,7 @@ from p2wss.reconstruction.outputs.attributes import table
 from p2wss.reconstruction.outputs.city import city_json
 from p2wss.reconstruction.pipeline import run
 from p2wss.reconstruction.result import summary as reconstruct_summary
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)

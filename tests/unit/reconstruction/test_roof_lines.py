@@ -16,8 +16,8 @@ import p2wss
 from p2wss import cli
 from p2wss.data.crs import metric_crs
 from p2wss.reconstruction.roof_lines import LINES, read_lines, with_lines
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 
 ORIGIN = np.array([652_000.0, 6_862_000.0])
 WEST, EAST = (shapely.box(*(ORIGIN + np.array([[x, 0], [x + 12, 8]])).ravel()) for x in (0, 12))

@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from kernel_unions import union
 from skin_solids import Solid, assert_closed, gable, solid, united, volume
 
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.parametric import FittedRoof
 from p2wss.mesh import Mesh
-from p2wss.reconstruction.skin import Skin, skins
+from p2wss.reconstruction.skin import Skin, sheets, skins, triangulated
+from p2wss.reconstruction.skin.block_skins import wedges
 from p2wss.reconstruction.skin.common_roofs import MAX_STEP_M
 from p2wss.reconstruction.skin.party_walls import without_party_walls
 from p2wss.reconstruction.skin.solids import MAX_LOWERING_M, faces_of
-from p2wss.reconstruction.skin.triangles import sheets, triangulated
-from p2wss.reconstruction.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
 
 

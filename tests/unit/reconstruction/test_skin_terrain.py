@@ -14,8 +14,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.formats.meshes import TERRAIN
 from p2wss.mesh import Mesh
 from p2wss.reconstruction.skin import Skin, skins, terrain_mesh
-from p2wss.reconstruction.skin.block_skins import cut
-from p2wss.reconstruction.skin.wedges import wedges
+from p2wss.reconstruction.skin.block_skins import cut, wedges
 from p2wss.skeleton.types import FaceKind
 
 X, Y = 652000.0, 6861000.0

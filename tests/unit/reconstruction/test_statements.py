@@ -21,7 +21,7 @@ import p2wss
 from p2wss.config import as_config
 from p2wss.reconstruction.inputs import check_inputs
 from p2wss.reconstruction.points import plausibility
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 CASES = SHARED / "data" / "cases"
 needs_cases = pytest.mark.skipif(not CASES.is_dir(), reason="no shared/data/cases")

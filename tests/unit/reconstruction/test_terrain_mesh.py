@@ -17,7 +17,7 @@ from p2wss.mesh import Mesh
 from p2wss.reconstruction.outputs import exports
 from p2wss.reconstruction.skin import terrain_mesh
 from p2wss.skeleton.types import Polygons
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 X, Y = 652000.0, 6861000.0
 

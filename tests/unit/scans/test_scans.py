@@ -16,7 +16,7 @@ from p2wss.cli import main
 from p2wss.config import Scans
 from p2wss.data.terrain import Terrain
 from p2wss.scans import scan as scans
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 SETTINGS = Scans(preset="none", density_per_m2=10)
 

@@ -23,8 +23,8 @@ from p2wss.scenes.cut import (
     party_walls,
 )
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
 

@@ -14,7 +14,7 @@ from numba.core import event
 
 import p2wss.skeleton
 from p2wss.skeleton.compiled import both, entry
-from p2wss.storage import log_lines, progress, sources
+from p2wss.storage import messages, progress, sources
 
 NOTICE = "compiling for this computer"
 
@@ -51,7 +51,7 @@ def package(folder: Path) -> Path:
     storage.mkdir()
     for each in (skeleton.parent, skeleton, storage):
         (each / "__init__.py").touch()
-    for module in (progress, log_lines, sources):
+    for module in (progress, messages, sources):
         shutil.copy(module.__file__, storage)
     (skeleton / "called.py").write_text(
         "from p2wss.skeleton.compiled import inner\n@inner\ndef add(x):\n    return x + 1\n"

@@ -15,7 +15,7 @@ from file_kinds import KINDS, flip_bits
 from p2wss.cli import main
 from p2wss.data.manifest import read_manifest
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.training.dataset import TrainingLimits, load_dataset
 
 COLUMN = pa.schema([("x", pa.int32())])

@@ -11,7 +11,7 @@ import pytest
 
 from p2wss.clouds.reading import read_clouds
 from p2wss.fetching.cloud import write_cloud
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 
 def without_chunks(path: Path, content: bytes) -> Path:

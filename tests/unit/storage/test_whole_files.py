@@ -14,7 +14,7 @@ import shapely
 from p2wss.fetching.folder import read_footprint_window
 from p2wss.footprints.vector_files import read_attributes, read_vector
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.columns import field
 from p2wss.storage.schemas.scene import read_scene, write_scene
 

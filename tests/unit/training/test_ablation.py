@@ -17,7 +17,7 @@ from p2wss.config import ablated, load
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import load_predictor
 from p2wss.nets.weights import save_model
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.training import ablation
 from p2wss.training.dataset import TrainingLimits, load_dataset, training_limits
 

@@ -14,7 +14,7 @@ import toy_crops
 from p2wss.data.points import points_on_building
 from p2wss.nets.batch import thin
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.training.dataset import BatchSampler, TrainingLimits, describe, load_dataset
 

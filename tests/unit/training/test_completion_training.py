@@ -26,7 +26,7 @@ from safetensors.numpy import load_file
 from p2wss.config.training import Optimiser
 from p2wss.nets import supposed
 from p2wss.nets.clues import MAX_POINTS, MAX_VERTICES, SCALE_M
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.towns.buildings import DrawnBuilding, Wing
 
 # sums of the test below, by the first version

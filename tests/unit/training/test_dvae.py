@@ -16,7 +16,7 @@ from p2wss.config import load
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.patches import Patches
 from p2wss.nets.weights import load_dvae
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.training import dvae
 from p2wss.training.dataset import TrainingLimits, load_dataset
 

@@ -18,7 +18,7 @@ from p2wss.nets.tokenizer import (
     MASK,
     Tokenizer,
 )
-from p2wss.training.masking import mask_parameters, mask_patches
+from p2wss.training.model import mask_parameters, mask_patches
 
 TOKENIZER = Tokenizer()
 

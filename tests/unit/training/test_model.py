@@ -23,7 +23,7 @@ from p2wss.nets.prediction import Prediction
 from p2wss.nets.predictor import Point2WssPredictor, load_predictor
 from p2wss.nets.weights import save_dvae
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.training import model
 from p2wss.training.dataset import BuildingDataset, TrainingLimits, load_dataset
 

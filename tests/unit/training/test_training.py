@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from p2wss.nets import compute
 from p2wss.nets.weights import last_validation
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.training import loop
 from p2wss.training.loop import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
 

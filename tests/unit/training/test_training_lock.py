@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 from p2wss.storage.temporary import Scratch
 from p2wss.training.loop import training_lock
 

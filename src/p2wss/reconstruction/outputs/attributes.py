@@ -3,8 +3,6 @@
 `docs/manual/attributes.md` defines them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The CityJSON output of ``p2wss reconstruct``: solids, blocks of LoD 1.2, metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
@@ -22,7 +20,7 @@ from p2wss.reconstruction.outputs.vegetation import Plant
 from p2wss.reconstruction.result import Result
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.las_crs import horizontal
-from p2wss.storage.log_lines import first_of
+from p2wss.storage.messages import first_of
 
 # the title names at most this many clouds
 _MAX_CLOUDS = 3

@@ -1,7 +1,5 @@
 """The output files of ``p2wss reconstruct``, all from the same results, each written completely or not at all."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -32,8 +30,8 @@ from p2wss.reconstruction.running.spool import Lazy
 from p2wss.reconstruction.skin import Skin, block_skins, terrain_mesh
 from p2wss.reconstruction.skin.solids import MAX_LOWERING_M
 from p2wss.storage import files
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
+from p2wss.storage.messages import InputError
 
 
 def write(

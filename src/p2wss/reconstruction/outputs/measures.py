@@ -1,7 +1,5 @@
 """Measures of the meshes of buildings: heights and areas of roofs and walls, volume, party walls."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -10,7 +10,7 @@ import shapely
 
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.viewer import FACE_COLORS
-from p2wss.storage.errors import InputError
+from p2wss.storage.messages import InputError
 
 if TYPE_CHECKING:
     from p2wss.reconstruction.scene import SceneBuilding

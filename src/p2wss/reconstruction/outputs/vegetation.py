@@ -4,8 +4,6 @@ A crown is a basin of a watershed around a maximum of the smoothed height of the
 individual trees in a savanna woodland using small footprint lidar data").
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain

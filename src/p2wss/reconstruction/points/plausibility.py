@@ -15,10 +15,9 @@ from p2wss.data.terrain import UNITS_M, Terrain
 from p2wss.reconstruction.inputs import Inputs
 from p2wss.reconstruction.points.cloud_index import CloudIndex
 from p2wss.skeleton.types import differs
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import vertical_part
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Blocks of the registration: groups of touching footprints that move together, and the free edges of a block."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ around, on the points around, and on the blocks that compete for these points. W
 a block another class than building, such points do not count as outside.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ where this holds best (:func:`search_shift`). Around it, each free edge has a st
 ground (:func:`edge_steps`). The shift follows from all steps of the block (:func:`solve_shift`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count

@@ -4,16 +4,13 @@ Within :meth:`Failures.met`, :func:`surviving` catches what a function raises, a
 with ``reconstruct.strict``, the error is raised.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 T = TypeVar("T")
 

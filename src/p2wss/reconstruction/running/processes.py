@@ -20,8 +20,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 from p2wss.storage.temporary import Scratch
 
 # most numbers in a pipe, of 4 bytes each: a quarter of what a pipe holds

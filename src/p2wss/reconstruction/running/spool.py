@@ -1,7 +1,5 @@
 """Sequences that are not in memory: values in a temporary file, and values that are computed at each access."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Roofs and fronts of neighbours that differ by centimetres at their common wall. Planes that are the same but for
 noise become one plane. Other planes move as a whole until they meet at the wall."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

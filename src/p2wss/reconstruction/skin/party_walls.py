@@ -6,8 +6,6 @@ merged. Between two such places (a strip), profiles are straight and do not cros
 or ends a wall on one of the two sides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The solids from which a skin is made, as polygons over one list of points; their common floors and touching walls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

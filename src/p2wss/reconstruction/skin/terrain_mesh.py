@@ -1,7 +1,5 @@
 """Terrain under reconstructed buildings: a closed block of few triangles, and buildings that reach into it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,8 +13,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.topology import border_rings, doubled_plan_areas, twins
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.errors import InputError
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 NAME = "terrain"
 # the block reaches at least this far below the lowest ground, a building this far below the lowest terrain under it;

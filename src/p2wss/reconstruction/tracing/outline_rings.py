@@ -5,8 +5,6 @@ into it. Lines with a short edge are removed, and parallel neighbours joined. Th
 separates the points on roofs from the points on the ground.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ block, so neighbours share bit-identical walls. Points show the edges of roofs, 
 moved inwards by ``Outlines.overhang_m``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -29,10 +27,9 @@ from p2wss.data.tiling import Bounds, grown
 from p2wss.reconstruction.points.unclassified import filled, in_window, tiles
 from p2wss.reconstruction.tracing.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.skeleton.groups import cell_neighbours, groups
-from p2wss.storage.errors import InputError
 from p2wss.storage.features import Features
 from p2wss.storage.las_crs import horizontal
-from p2wss.storage.log_lines import log
+from p2wss.storage.messages import InputError, log
 
 # a cell has at least this many points on average: if necessary, cells are larger than ``cell_m``, in steps of 5 cm, so
 # that clouds of nearly the same density have the same cells

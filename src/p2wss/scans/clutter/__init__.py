@@ -5,8 +5,6 @@ triangles of the building itself. All of it changes the point cloud only, not th
 own key, so it has the same clutter in every tile that contains it; only what would stand inside a neighbour is omitted.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.config import Clutter

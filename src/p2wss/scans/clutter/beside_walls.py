@@ -1,7 +1,5 @@
 """Clutter beside walls: annexes that the footprint does not include, and trees."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

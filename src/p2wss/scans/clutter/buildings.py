@@ -1,8 +1,6 @@
 """The buildings that get clutter, and what every kind of clutter needs: random draws, edges,
 rectangles, triangles of copies of one polyhedron."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 The triangles of the building change, not its label.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -1,7 +1,5 @@
 """Columns that several schemas share."""
 
-from __future__ import annotations
-
 import pyarrow as pa
 
 

@@ -3,15 +3,13 @@
 Written by the stage scenes; read by buildings and scans.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from p2wss.storage.errors import reading
 from p2wss.storage.files import read_metadata, read_table, write_geoparquet
+from p2wss.storage.messages import reading
 from p2wss.storage.schemas.columns import IDENTITY, STATUS, field
 
 # besides these columns, the file has a `geometry` of clean 2D polygons (exterior CCW, courtyards CW)

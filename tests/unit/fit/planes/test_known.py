@@ -7,7 +7,7 @@ import pytest
 from cell_costs import all_costs
 from toy_roofs import sample
 
-from p2wss.fit.mesh.parametric import kernel_mesh
+from p2wss.fit.parametric import kernel_mesh
 from p2wss.fit.planes.detection import height_over, heights
 from p2wss.fit.planes.fit import PlanesFit, fit_planes
 from p2wss.fit.planes.known import between_lines, known_lines, known_planes, mapped_planes, num_on

@@ -7,7 +7,7 @@ from drawn_towns.planes import mesh_of
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
-from p2wss.fit.mesh.parametric import build_meshes
+from p2wss.fit.parametric import build_meshes
 from p2wss.mesh import Mesh
 from p2wss.mesh.planar import with_faces_divided
 from p2wss.mesh.rules import crosses_itself

@@ -1,11 +1,13 @@
-"""The one exception that users see, and the conversion of errors of files, and of libraries that read them, into it."""
+"""What users read: the one exception that they see, the conversion of errors of files and of libraries that read them
+into it, and lines of the log."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
+import logging
+import sys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+log = logging.getLogger("p2wss")
 _MAX_REASON = 300
 
 
@@ -59,3 +61,30 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, RecursionError):
         return "nested too deeply"
     return f"missing {text}" if isinstance(error, KeyError) else text or type(error).__name__
+
+
+class TextLines(logging.Formatter):
+    """The message, after the time where details are shown."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """See :meth:`logging.Formatter.format`."""
+        time = f"{self.formatTime(record)} " if log.isEnabledFor(logging.DEBUG) else ""
+        return time + super().format(record)
+
+
+def first_of(names: Sequence[str], most: int = 5) -> str:
+    """The first names, and how many there are more.
+
+    >>> first_of("abcdefg")
+    'a, b, c, d, e and 2 more'
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def start() -> None:
+    """Send the log to stderr."""
+    log.setLevel(logging.NOTSET)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(TextLines())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)

@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from scipy.stats import kstest
 
-from p2wss.eval.metrics.chamfer import chamfer_distance_m
-from p2wss.eval.metrics.height import height_rmse_m
-from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
+from p2wss.eval.metrics import chamfer_distance_m, height_rmse_m, mesh_facts, out_of_plane_m
 from p2wss.mesh.surface import distance_to_mesh, sample_surface, topmost
 from p2wss.mesh.topology import face_numbers, twins
 

@@ -6,9 +6,8 @@ import shapely
 from toy_roofs import sample
 
 from p2wss.data.points import points_on_building
+from p2wss.fit.parametric import Problem, edge_groups, evaluate, fit_roof
 from p2wss.fit.points import even_order, every_kth
-from p2wss.fit.roof.fitter import edge_groups, fit_roof
-from p2wss.fit.roof.solve import Problem, evaluate
 from p2wss.fit.settings import PARAMETRIC, Parametric
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof_points_of_kernel

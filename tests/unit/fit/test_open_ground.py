@@ -9,7 +9,7 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.mesh.open_ground import with_floors
+from p2wss.fit.fitting import with_floors
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 

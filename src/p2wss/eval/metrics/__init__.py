@@ -1,1 +1,0 @@
-"""Metrics, one per file, on arrays."""

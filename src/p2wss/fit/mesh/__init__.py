@@ -1,1 +1,0 @@
-"""Meshes of fitted buildings that are not of planes, and the open ground of all."""
