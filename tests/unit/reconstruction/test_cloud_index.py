@@ -144,6 +144,8 @@ def test_the_file_has_no_name_and_a_full_disk_is_one_line(
 
         def flush(self) -> None: ...
 
+        def close(self) -> None: ...
+
         def write(self, content: memoryview) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 
