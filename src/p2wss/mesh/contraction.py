@@ -113,7 +113,7 @@ def _met(
     first_m = vertex_m.copy()
     # either end may stand for the point, as the conditions are linear
     first_m[end] = vertex_m[min(end, gone)]
-    # small roofs change rather than large ones; if that is too much for them, all alike
+    # large roofs change less than small ones; if that is too much for these, all alike
     for by_area, turns in ((1.0, False), (1.0, True), (0.0, False), (0.0, True)):
         row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, by_area * area_m2, is_free, turns)
         counts = (np.arange(num_vertices) == end) | (end < 0)

@@ -210,10 +210,10 @@ def equations(
     The distance of a point (x, y, z) from a plane is the product of (x, y, z, 1) with its row. For a roof, the row has
     the slopes from least squares and -1 and gives the distance upright; for other planes it has the unit normal. A
     change of a plane is a vector (3,); ``scale`` times it is the change of the row. It is scaled so that it is as long
-    as the vector of the changes in height of the vertices, for a roof times the root of its area for each vertex, so
-    that the least change is that of a large roof. vertex, plane: all pairs of a vertex and a plane there. area_m2:
-    (p,), of the planes; 0 if areas do not count. is_free: bool (p,), walls that may shift though they are on floors.
-    turns: whether walls between roofs may turn.
+    as the vector of the changes in height of the vertices, for a roof times the fourth root of its area for each
+    vertex: a large roof changes less than a small one, which a change in full would spoil. vertex, plane: all pairs of
+    a vertex and a plane there. area_m2: (p,), of the planes; 0 if areas do not count. is_free: bool (p,), walls that
+    may shift though they are on floors. turns: whether walls between roofs may turn.
     """
     num, on_floor = len(kind), np.zeros(len(vertex_m), np.bool_)
     size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
@@ -273,7 +273,7 @@ def equations(
         for i in range(3):
             row[p, 3] -= row[p, i] * base[p, i]
         if kind[p] != _WALL and area_m2[p] > 0.0:
-            scale[p] *= np.sqrt(size[p] / min(max(area_m2[p], _LEAST_M2), _MOST_M2))
+            scale[p] *= (size[p] / min(max(area_m2[p], _LEAST_M2), _MOST_M2)) ** 0.25
     return row, scale
 
 
