@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import yaml
 
 from p2wss.storage import files, integrity
-from p2wss.storage.las_crs import crs_of
+from p2wss.storage.las_crs import crs_of, horizontal, in_degrees, placed
 from p2wss.storage.las_files import bounds_of
 from p2wss.storage.messages import InputError, reading
 
@@ -108,8 +109,6 @@ def _provenance(stored: str | bytes | Facts | None) -> Facts:
 def _crs(crs: Any) -> str | None:
     if crs is None:
         return None
-    import pyproj
-
     parsed = pyproj.CRS.from_user_input(crs)
     code = parsed.to_authority(min_confidence=70)
     return f"{parsed.name} ({':'.join(code)})" if code else parsed.name
@@ -226,12 +225,13 @@ def _cloud(path: Path) -> Facts:
     if classes.total() != header.point_count:
         raise InputError(f"{path}: truncated: {classes.total()} of {header.point_count} points")
     bounds = bounds_of(header)
-    area_m2 = 0.0 if bounds is None else float(np.prod(header.maxs[:2] - header.mins[:2]))
+    crs = crs_of(header)
+    area_m2 = 0.0 if bounds is None else _area_m2(bounds, crs)
     is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
     return {
         "kind": "point cloud, COPC" if is_copc else f"point cloud, {path.suffix[1:].upper()}",
         "version": f"LAS {header.version}, point format {header.point_format.id}",
-        "crs": _crs(crs_of(header)),
+        "crs": _crs(crs),
         "bounds": bounds and list(bounds),
         "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
         "num_points": header.point_count,
@@ -241,6 +241,21 @@ def _cloud(path: Path) -> Facts:
         "extra dimensions": list(header.point_format.extra_dimension_names),
         "software": f"{header.system_identifier} / {header.generating_software}".strip(" /\0"),
     }
+
+
+def _area_m2(bounds: tuple[float, float, float, float], crs: pyproj.CRS | None) -> float:
+    """The area of bounds on the ground: x and y may be in feet or degrees, or long, as in EPSG:3857. Without a CRS, or
+    outside of the Earth, they count as metres."""
+    x_min, y_min, x_max, y_max = bounds
+    if (known := placed(crs)) is not None:
+        flat = horizontal(known)
+        x, y = (x_min + x_max) / 2, (y_min + y_max) / 2
+        ends = [(x_min, y), (x_max, y), (x, y_min), (x, y_max)]
+        west, east, south, north = (in_degrees(flat, *end) for end in ends)
+        _, _, sides_m = flat.get_geod().inv(*np.transpose([west, south]), *np.transpose([east, north]))
+        if np.isfinite(sides_m).all():
+            return float(np.prod(sides_m))
+    return (x_max - x_min) * (y_max - y_min)
 
 
 def _weights(path: Path) -> Facts:

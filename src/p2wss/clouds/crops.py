@@ -32,6 +32,9 @@ _NUM_ROUNDS, _NOISE_M = 10, 0.05
 # strays on roofs; metres above that ground from which points do not count here, as they are on roofs. Set by hand: real
 # towns have a share of at least 0.83, a drawn town with strays has 0.1
 _SEEN_SHARE, _NOT_GROUND_M = 0.25, 2.0
+# metres by which a plane through the ground beyond the last ring of ground points may leave the heights of these points
+# before it is a guess, as where all of them are to one side. Set by hand
+_BEYOND_M = 0.5
 # quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
 _FOOT_QUANTILE = 0.02
 # a building with fewer points in its footprint also uses the points on roofs within this distance in metres. Chosen on
@@ -48,7 +51,7 @@ class CloudCrops:
     no ground there, it is the 2 % quantile of the heights of the building's points; NaN only without points. is_foot:
     bool (n,), whether ``ground_z_m`` is that quantile: at best, the foot of a wall. guess_sd_m: float64 (n,), NaN
     unless the ground is a guess, because hardly any of the lowest points around the building has class ground and all
-    may be on roofs; then the standard deviation of their heights.
+    may be on roofs, or because it is higher or lower than all of them; then the standard deviation of their heights.
     """
 
     point: np.ndarray
@@ -105,7 +108,8 @@ def ground_height(
 
     Ground points may be strays, as on roofs. They are suspected where a ring has more points without class than ground
     points, with a median at most 2 m above the median of the ground points. They are strays if class ground is also
-    rare among the lowest points less than 2 m above that median. Then the ground is :func:`low_height`, and a guess.
+    rare among the lowest points less than 2 m above that median. Then the ground is :func:`low_height`, and a guess. So
+    it is where no ground is within 4 m, and the plane leaves the heights of the lowest points.
     first_ring: the result of :func:`crop_points` for 1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
@@ -142,8 +146,10 @@ def ground_height(
             level = around[cloud.z_m[around] < z_m + _NOT_GROUND_M]
             num_seen, num_other = is_ground[level].sum(), is_unclassified[level].sum()
             is_stray = num_seen < _SEEN_SHARE * (num_seen + num_other)
+            lowest_z, highest_z = cloud.z_m[around].min(), cloud.z_m[around].max()
+            is_beyond = np.isnan(result[p]) and not lowest_z - _BEYOND_M <= low_m <= highest_z + _BEYOND_M
             result[p] = low_m if is_stray else z_m
-            guess_sd_m[p] = np.std(cloud.z_m[around]) if is_stray else np.nan
+            guess_sd_m[p] = np.std(cloud.z_m[around]) if is_stray or is_beyond else np.nan
         pending = pending[~is_done]
     return result, guess_sd_m
 

@@ -384,9 +384,12 @@ def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
     corners = [in_degrees(crs, x, y) for x in bounds[::2] for y in bounds[1::2]]
     (x_min, y_min), (x_max, y_max) = np.min(corners, axis=0), np.max(corners, axis=0)
     if not (-180 <= x_min <= x_max <= 180 and -90 <= y_min <= y_max <= 90):
-        raise InputError(
-            f"{name}: is in {crs.name}, in degrees, but its bounds are not; state its CRS with --crs"
+        unlike = (
+            "in degrees, but its bounds are not"
+            if crs.is_geographic
+            else "but its bounds are not on the Earth"
         )
+        raise InputError(f"{name}: is in {crs.name}, {unlike}; state its CRS with --crs")
     code = _zone(x_min, y_min, x_max, y_max)
     if code is None:
         raise InputError(f"{name}: is in {crs.name}, outside all UTM zones; reproject it")

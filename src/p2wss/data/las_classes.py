@@ -11,6 +11,8 @@ GROUND_CLASS = 2
 VEGETATION_CLASS = 5
 BUILDING_CLASS = 6
 WATER_CLASS = 9
+# where flights overlap, producers gave it to all points of one flight (LAS 1.1 to 1.3), whatever they hit
+OVERLAP_CLASS = 12
 # of our own, reserved in LAS: points of a sparse cloud without class building that are a roof if a footprint says so,
 # and otherwise plants
 PERHAPS_ROOF_CLASS = 63

@@ -14,6 +14,7 @@ import control_houses as houses
 import geopandas as gpd
 import laspy
 import numpy as np
+import pyproj
 import pytest
 import rasterio
 import torch
@@ -51,6 +52,21 @@ def test_cloud() -> None:
     (x_min, y_min, x_max, y_max) = facts["bounds"]
     density = len(cloud) / ((x_max - x_min) * (y_max - y_min))
     assert facts["points per m2 of the bounds"] == pytest.approx(density, abs=0.006)
+
+
+@pytest.mark.parametrize("code", [2154, 2263, 4326, 3857])
+def test_the_density_of_a_cloud_is_per_square_metre_on_the_ground(code: int, tmp_path: Path) -> None:
+    """The same hectare with 400 points in metres, feet, degrees, and in a projection that makes it longer."""
+    metric, x_m, y_m = (32118, 300_000.0, 60_000.0) if code == 2263 else (2154, 652_000.0, 6_862_000.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0.0, 100.0, 20)] * 2))
+    x, y = pyproj.Transformer.from_crs(metric, code, always_xy=True).transform(x_m + x, y_m + y)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = [x.min(), y.min(), 0.0], [1e-6, 1e-6, 0.01]
+    header.add_crs(pyproj.CRS(code))
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = x, y, np.zeros(len(x))
+    cloud.write(tmp_path / "cloud.las")
+    assert describe(tmp_path / "cloud.las")["points per m2 of the bounds"] == pytest.approx(0.04, rel=0.1)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="no shared/data")

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import geopandas as gpd
@@ -194,8 +195,12 @@ def test_ground_on_a_slope_lies_between_what_is_above_and_below():
     downhill = grid_cloud(slope, (30, 52), (40, 90), 2.0)
     polygons = polygon_arrays.to_polygons([box])
     assert ground_z_m_of(join(uphill, downhill), polygons)[0] == pytest.approx(0.3 * 65, abs=0.1)
-    # the slope goes on where all are on one side
+    # the slope goes on where all are on one side, which is a guess, but not on level ground
     assert ground_z_m_of(downhill, polygons)[0] == pytest.approx(0.3 * 65, abs=0.5)
+    level = replace(downhill, z_m=np.sin(downhill.x_m))
+    assert np.isfinite(
+        [ground_height(each, polygons)[1][0] for each in (join(uphill, downhill), downhill, level)]
+    ).tolist() == [False, True, False]
 
 
 def test_ground_of_a_hillside_between_roofs():

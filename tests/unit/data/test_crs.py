@@ -37,6 +37,15 @@ def cloud(crs: pyproj.CRS, *points: tuple[float, float, float]) -> Cloud:
     return Cloud(x, y, z, np.full(len(x), 6, np.uint8), crs)
 
 
+@pytest.mark.parametrize(
+    "code, why",
+    [(4326, "in degrees, but its bounds are not"), (32631, "but its bounds are not on the Earth")],
+)
+def test_bounds_outside_the_earth(code: int, why: str) -> None:
+    with pytest.raises(InputError, match=f"{why}; state its CRS with --crs"):
+        metric_crs(pyproj.CRS(code), (-2_147_101_580, -2_147_101_580, 2_146_599_318, 2_146_599_318), "a.laz")
+
+
 def test_metres_stay_as_they_are() -> None:
     for crs in (LAMBERT, RD, pyproj.CRS("EPSG:7415"), pyproj.CRS("EPSG:2154+5720")):
         metric, note = metric_crs(crs, None, "a.laz")

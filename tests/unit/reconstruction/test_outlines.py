@@ -377,10 +377,24 @@ def test_clouds_without_outlines() -> None:
     empty = Cloud(*[np.zeros(0)] * 3, np.zeros(0, np.uint8), LAMBERT)
     with pytest.raises(InputError, match="has no points"):
         outlines(empty, Outlines())
-    with pytest.raises(InputError, match="class 6"):
-        outlines(replace(cloud, classification=np.full(len(cloud), 2, np.uint8)), Outlines())
+    ground = replace(cloud, classification=np.full(len(cloud), 2, np.uint8))
+    for is_classified, missing in ((True, "class 6"), (False, "planes 2 m above the ground")):
+        with pytest.raises(InputError, match=missing):
+            outlines(ground, Outlines(), is_classified)
     with pytest.raises(InputError, match="no building has at least 1000 m2"):
         outlines(cloud, Outlines(min_area_m2=1000))
+
+
+def test_buildings_far_from_each_other_are_split_without_copies_of_the_raster() -> None:
+    block = np.zeros((2000, 2000), np.int32)
+    block[2:30, 2:30], block[-30:-2, -30:-2] = 1, 2
+    height_m = np.where(np.arange(2000) % 1990 < 12, 5.0, 9.0) * np.ones((2000, 1))
+    tracemalloc.start()
+    building = tracing._split(block, height_m, Outlines(), 0.5)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [np.unique(building[block == number]).size for number in (1, 2)] == [2, 2]
+    assert peak < 3 * height_m.nbytes
 
 
 def test_free_edges_stand_inside_the_edge_of_the_roof() -> None:

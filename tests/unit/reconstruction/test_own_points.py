@@ -18,6 +18,7 @@ from p2wss.data.las_classes import (
     BUILDING_CLASS,
     GROUND_CLASS,
     NEIGHBOUR_CLASS,
+    OVERLAP_CLASS,
     UNCLASSIFIED_CLASS,
     VEGETATION_CLASS,
 )
@@ -57,6 +58,20 @@ def test_the_roof_over_the_border_is_the_neighbours_from_either_side(own_z: floa
     theirs = (point_m[:, 0] > 7.5) & (point_m[:, 0] < 8)
     assert (found[theirs] == NEIGHBOUR_CLASS).mean() > 0.95 and (found[~theirs] == BUILDING_CLASS).all()
     assert (classes == BUILDING_CLASS).all()
+
+
+def test_points_of_overlapping_flights_are_of_the_roof_where_the_other_flight_has_it() -> None:
+    """A crown stands over a corner of the roof; two of three points have the class of overlapping flights."""
+    point_m, draw = surface({(-1, 9): 5.0}, slope=0.3), np.random.default_rng(0)
+    is_crown = (point_m[:, 0] > 6) & (point_m[:, 1] > 8)
+    point_m[is_crown, 2] += draw.uniform(3, 6, np.count_nonzero(is_crown))
+    true = np.where(is_crown, VEGETATION_CLASS, BUILDING_CLASS).astype(np.uint8)
+    is_overlap = draw.random(len(point_m)) < 2 / 3
+    found = own_classes([RING], point_m, np.where(is_overlap, OVERLAP_CLASS, true).astype(np.uint8))
+    inside = (point_m[:, 0] > 0) & (point_m[:, 0] < 8)
+    roof, crown = inside & is_overlap & ~is_crown, inside & is_overlap & is_crown
+    assert (found[roof] == BUILDING_CLASS).mean() > 0.98 and not (found[crown] == BUILDING_CLASS).any()
+    assert (found[~is_overlap] == true[~is_overlap]).all()
 
 
 def test_a_roof_that_the_producer_took_for_trees_is_one_and_a_crown_over_it_is_none() -> None:

@@ -23,6 +23,7 @@ from p2wss.data.las_classes import (
     GROUND_CLASS,
     NEIGHBOUR_CLASS,
     NOISE_CLASSES,
+    OVERLAP_CLASS,
     PERHAPS_ROOF_CLASS,
     PLANT_CLASSES,
     WATER_CLASS,
@@ -104,11 +105,26 @@ def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification
     classification = (
         np.where(is_roof, np.uint8(BUILDING_CLASS), classification) if is_roof.any() else classification
     )
-    result = _with_roofs_as_ground(inside, point_m, classification)
+    result = _with_roofs_as_overlaps(inside, point_m, classification)
+    result = _with_roofs_as_ground(inside, point_m, result)
     result = _with_roofs_as_plants(inside, point_m, result)
     result = _with_roofs_as_others(inside, point_m, result)
     theirs = _theirs(polygon, inside, point_m, result)
     return np.where(theirs, np.uint8(NEIGHBOUR_CLASS), result) if theirs.any() else result
+
+
+def _with_roofs_as_overlaps(
+    inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray
+) -> np.ndarray:
+    """The classes (m,), with class building for points inside the footprint that have the class of overlapping flights,
+    if the nearest point of another class has class building."""
+    is_overlap = classification == OVERLAP_CLASS
+    roof = inside & is_overlap & (point_m[:, 2] >= MIN_HEIGHT_M)
+    if not roof.any() or is_overlap.all():
+        return classification
+    _, other = nearest(point_m[~is_overlap], point_m[roof])
+    roof[roof] = classification[~is_overlap][other[:, 0]] == BUILDING_CLASS
+    return np.where(roof, np.uint8(BUILDING_CLASS), classification)
 
 
 def _with_roofs_as_ground(inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:

@@ -97,8 +97,9 @@ def outlines_and_crowns(
         raise InputError("no outlines: the cloud has no points")
     is_building = cloud.classification == BUILDING_CLASS
     if not is_building.any():
+        missing = "class 6 (building)" if is_classified else f"planes {MIN_HEIGHT_M:g} m above the ground"
         raise InputError(
-            "no outlines: the cloud has no points on buildings (class 6); give footprints, or classify the points first"
+            f"no outlines: the cloud has no points on {missing}; give footprints, or classify the points first"
         )
     found, are_crowns = [], []
     for part, raster, own in in_tiles(cloud, settings):
@@ -301,15 +302,18 @@ def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: 
 def _jumps_m(height_m: np.ndarray, is_block: np.ndarray) -> np.ndarray:
     """The jumps between the pairs of cells of :func:`cell_neighbours`, in metres: differences of height without what
     the slope of the roof explains, which is that of the cells before and after a pair."""
-    z_m, result = np.where(is_block, height_m, np.nan), []
-    for axis in (1, 0):
-        step_m = np.moveaxis(np.diff(z_m, axis=axis), axis, 0)
-        around = np.pad(step_m, ((1, 1), (0, 0)), constant_values=np.nan)
-        beside = np.stack([around[:-2], around[2:]])
-        slope_m = np.nansum(beside, axis=0) / np.maximum(np.isfinite(beside).sum(axis=0), 1)
-        jump_m = np.abs(step_m) - np.clip(slope_m * np.sign(step_m), 0, np.abs(step_m))
-        jump_m = np.moveaxis(jump_m, 0, axis)
-        result.append(jump_m[np.isfinite(jump_m)])
+    # a margin, so that every cell has cells around it
+    mask, z_m, result = np.pad(is_block, 1).ravel(), np.pad(height_m, 1).ravel(), []
+    for step in (1, is_block.shape[1] + 2):
+        first = np.flatnonzero(mask[:-step] & mask[step:])
+        step_m = z_m[first + step] - z_m[first]
+        slope_m, num_beside = np.zeros(len(first)), np.zeros(len(first))
+        for beside in (first - step, first + step):
+            is_pair = mask[beside] & mask[beside + step]
+            slope_m += np.where(is_pair, z_m[beside + step] - z_m[beside], 0.0)
+            num_beside += is_pair
+        slope_m /= np.maximum(num_beside, 1)
+        result.append(np.abs(step_m) - np.clip(slope_m * np.sign(step_m), 0, np.abs(step_m)))
     return np.concatenate(result)
 
 
