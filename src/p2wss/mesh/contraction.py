@@ -115,7 +115,9 @@ def _met(
     first_m[end] = vertex_m[min(end, gone)]
     # large roofs change less than small ones; if that is too much for these, all alike
     for by_area, turns in ((1.0, False), (1.0, True), (0.0, False), (0.0, True)):
-        row, scale = equations(vertex_m, vertex, plane, plane_kind, normal, by_area * area_m2, is_free, turns)
+        row, scale = equations(
+            vertex_m, vertex, plane, (plane_kind, normal, by_area * area_m2), is_free, turns
+        )
         counts = (np.arange(num_vertices) == end) | (end < 0)
         point_m, apart_m = points(first_m, row, scale, at, plane_at, counts, walls_stay)
         if apart_m.max() > _PLANAR_M:

@@ -60,7 +60,7 @@ def with_meeting_planes(
     at, plane_at = np.divmod(distinct(pairs), num)
     vertex_m = writable(mesh.vertex_m, np.float64)
     point_m, apart_m = _meeting_points(
-        vertex_m, first, vertex, plane, at, plane_at, planes.kind, planes.normal, planes.area_m2
+        vertex_m, first, vertex, plane, at, plane_at, (planes.kind, planes.normal, planes.area_m2)
     )
     moved_m = point_m[place, :3]
     stays = np.abs(moved_m - vertex_m) < EXACT_M
@@ -76,16 +76,12 @@ def _meeting_points(
     plane: np.ndarray,
     at: np.ndarray,
     plane_at: np.ndarray,
-    kind: np.ndarray,
-    normal: np.ndarray,
-    area_m2: np.ndarray,
+    planes: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
     """The result of :func:`points` for planes of a mesh. first: int64 (n,), a vertex of each place. vertex, plane: all
-    pairs of a vertex and a plane there. at, plane_at: all pairs of a place and a plane there. kind, normal: of the
-    planes."""
-    row, scale = equations(
-        vertex_m, vertex, plane, kind, normal, area_m2, np.zeros(len(kind), np.bool_), True
-    )
+    pairs of a vertex and a plane there. at, plane_at: all pairs of a place and a plane there. planes: see
+    :func:`equations`."""
+    row, scale = equations(vertex_m, vertex, plane, planes, np.zeros(len(planes[0]), np.bool_), True)
     return points(vertex_m[first], row, scale, at, plane_at, np.ones(len(first), np.bool_), False)
 
 
@@ -199,9 +195,7 @@ def equations(
     vertex_m: np.ndarray,
     vertex: np.ndarray,
     plane: np.ndarray,
-    kind: np.ndarray,
-    normal: np.ndarray,
-    area_m2: np.ndarray,
+    planes: tuple[np.ndarray, np.ndarray, np.ndarray],
     is_free: np.ndarray,
     turns: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -212,9 +206,10 @@ def equations(
     change of a plane is a vector (3,); ``scale`` times it is the change of the row. It is scaled so that it is as long
     as the vector of the changes in height of the vertices, for a roof times the fourth root of its area for each
     vertex: a large roof changes less than a small one, which a change in full would spoil. vertex, plane: all pairs of
-    a vertex and a plane there. area_m2: (p,), of the planes; 0 if areas do not count. is_free: bool (p,), walls that
-    may shift though they are on floors. turns: whether walls between roofs may turn.
+    a vertex and a plane there. planes: (kinds (p,), unit normals (p, 3), areas (p,)), areas of 0 if they do not count.
+    is_free: bool (p,), walls that may shift though they are on floors. turns: whether walls between roofs may turn.
     """
+    kind, normal, area_m2 = planes
     num, on_floor = len(kind), np.zeros(len(vertex_m), np.bool_)
     size, base, stands = np.zeros(num), np.zeros((num, 3)), np.zeros(num, np.bool_)
     for k, p in enumerate(plane):

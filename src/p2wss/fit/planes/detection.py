@@ -204,10 +204,11 @@ def fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.n
         xy, xz, yz = xy - sx * sy / one, xz - sx * sz / one, yz - sy * sz / one
         if step == 0 or is_steep:
             x, y, z, least = _least_axis(xx, xy, xz, yy, yz, zz)
-            is_flat = num >= _MANY and least < num * (_ROUGH * noise_m) ** 2
-            is_steep = is_steep or (is_flat and z < _STEEP_NZ)
+        if step == 0:
+            is_steep = num >= _MANY and z < _STEEP_NZ and least < num * (_ROUGH * noise_m) ** 2
         if is_steep:
-            a, b, scale = -x / max(z, _LEAST_NZ), -y / max(z, _LEAST_NZ), max(z, _LEAST_NZ)
+            scale = max(z, _LEAST_NZ)
+            a, b = -x / scale, -y / scale
         else:
             ridge = 1e-9 * num
             determinant = (xx + ridge) * (yy + ridge) - xy * xy
